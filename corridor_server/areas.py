@@ -1,0 +1,134 @@
+"""Training areas side by side: who asks for a decision, who ended, under which id, with which reward."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from corridor_server import world
+from corridor_server.config import CorridorConfig
+from corridor_server.parameters import EpisodeParameters, Value, area_generator
+
+STATISTICS = ("Success", "Switch Triggered", "Opponent Contacts", "Wall Contacts", "Closest Approach", "Episode Length")
+
+
+@dataclass(frozen=True)
+class Agents:
+    """Agents of one kind in a batch, in area order.
+
+    Attributes:
+        ids: (n,) int32, one id an episode.
+        observations: (n, 8 + 5K) float32.
+        rewards: Since the agent's last batch, (n,) float32.
+    """
+
+    ids: NDArray[np.int32]
+    observations: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What the areas have to say after a reset or a decision.
+
+    Attributes:
+        deciding: Every area's agent that asks for an action; in an area whose episode just ended, the next one's.
+        ended: Agents whose episode ended, with their last observation and reward.
+        interrupted: Which of ``ended`` were cut by the step limit, (n,) bool.
+        statistics: For each of ``STATISTICS``, one value for each of ``ended``, (n,) float32.
+    """
+
+    deciding: Agents
+    ended: Agents
+    interrupted: NDArray[np.bool_]
+    statistics: dict[str, NDArray[np.float32]]
+
+
+class Areas:
+    """Areas that share a config and a seed, each with its own random stream and agent.
+
+    Args:
+        config: The corridor.
+        seed: With an area's number, decides that area's episodes.
+        areas: The areas' numbers; ``range(N)`` for N of them, ``[i]`` to look at the i-th alone.
+    """
+
+    def __init__(self, config: CorridorConfig, seed: int, areas: Iterable[int]) -> None:
+        numbers = tuple(areas)
+        self.config = config
+        self.parameters = EpisodeParameters(config, numbers)
+        self._generators = [area_generator(seed, area) for area in numbers]
+        self._next_id = 1
+        count = len(numbers)
+        self.state = world.State.empty(count, config.num_opponents)
+        self._ids = np.zeros(count, dtype=np.int32)
+        self._opponent_contacts = np.zeros(count, dtype=np.int64)
+        self._wall_contacts = np.zeros(count, dtype=np.int64)
+        self._closest_approach = np.zeros(count)
+        # Areas whose running episode began by itself at the last one's end, and has not moved yet.
+        self._begun_by_end = np.zeros(count, dtype=np.bool_)
+
+    def __len__(self) -> int:
+        return len(self._generators)
+
+    def set_parameter(self, name: str, value: Value) -> None:
+        """Sets an environment parameter for every episode that begins from now on (see ``EpisodeParameters.set``)."""
+        self.parameters.set(name, value)
+        self._begun_by_end[:] = False
+
+    def reset(self) -> Batch:
+        """Starts a new episode in every area.
+
+        An episode that began by itself when the last one ended and has not moved yet is kept: resetting after an end,
+        as Gymnasium's loop does, must not skip an episode.
+        """
+        self._begin(np.flatnonzero(~self._begun_by_end))
+        self._begun_by_end[:] = False
+        return self._batch(np.zeros(0, dtype=np.intp), None, np.zeros(len(self)))
+
+    def step(self, actions: NDArray[np.float32]) -> Batch:
+        """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends."""
+        self.state, outcome = world.step(self.parameters.columns, self.state, actions.astype(np.float64))
+        self._opponent_contacts += outcome.opponent_contact
+        self._wall_contacts += outcome.wall_contact
+        np.minimum(self._closest_approach, outcome.nearest_opponent, out=self._closest_approach)
+        self._begun_by_end[:] = outcome.success | outcome.failed | outcome.truncated
+        return self._batch(np.flatnonzero(self._begun_by_end), outcome, outcome.reward)
+
+    def _batch(self, ended: NDArray[np.intp], outcome: world.Outcome | None, rewards: world.Floats) -> Batch:
+        observations = world.observation(self.parameters.columns, self.state)
+        rewards = rewards.astype(np.float32)
+        last = Agents(self._ids[ended], observations[ended], rewards[ended])
+        interrupted = np.zeros(0, dtype=np.bool_) if outcome is None else outcome.truncated[ended]
+        statistics: dict[str, NDArray[np.float32]] = {}
+        if outcome is not None and len(ended):
+            values = (
+                outcome.success,
+                self.state.switch_on,
+                self._opponent_contacts,
+                self._wall_contacts,
+                self._closest_approach,
+                self.state.episode_steps,
+            )
+            statistics = {
+                name: value[ended].astype(np.float32) for name, value in zip(STATISTICS, values, strict=True)
+            }
+            self._begin(ended)
+            observations[ended] = world.observation(self.parameters.columns, self.state)[ended]
+            rewards[ended] = 0.0
+        return Batch(Agents(self._ids.copy(), observations, rewards), last, interrupted, statistics)
+
+    def _begin(self, areas: NDArray[np.intp]) -> None:
+        if not len(areas):
+            return
+        for area in areas:
+            self.parameters.draw(int(area))
+        columns = {name: column[areas] for name, column in self.parameters.columns.items()}
+        begun = world.initial(columns, self.config.num_opponents, [self._generators[area] for area in areas])
+        self.state = self.state.merged(areas, begun)
+        self._ids[areas] = np.arange(self._next_id, self._next_id + len(areas))
+        self._next_id += len(areas)
+        self._opponent_contacts[areas] = 0
+        self._wall_contacts[areas] = 0
+        self._closest_approach[areas] = world.nearest_opponent(columns, begun)

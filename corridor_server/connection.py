@@ -1,0 +1,71 @@
+"""The gRPC connection to a trainer. The trainer is the server; a player dials it."""
+
+from typing import Any
+
+import grpc
+from google.protobuf.message import DecodeError
+
+from corridor_server.messages import EXCHANGE, UnityMessageProto
+
+_OPTIONS = [
+    ("grpc.enable_http_proxy", 0),
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 100),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+]
+
+
+class ConnectionFailed(Exception):
+    """Nobody answers, or the connection broke; the message is for the user."""
+
+
+class Connection:
+    """A channel to the trainer at ``host:port``, open until ``close``.
+
+    Args:
+        host: Where the trainer listens.
+        port: The trainer's port.
+        timeout_wait: Seconds to wait for it.
+
+    Raises:
+        ConnectionFailed: Nobody listens there within ``timeout_wait``.
+    """
+
+    def __init__(self, host: str, port: int, timeout_wait: float) -> None:
+        self._address = f"{host}:{port}"
+        self._channel = grpc.insecure_channel(self._address, options=_OPTIONS)
+        try:
+            grpc.channel_ready_future(self._channel).result(timeout=timeout_wait)
+        except grpc.FutureTimeoutError as error:
+            self._channel.close()
+            raise ConnectionFailed(
+                f"No trainer listens on {self._address} (waited {timeout_wait:g} s); start the trainer first, "
+                "and give the player its port with --mlagents-port."
+            ) from error
+        self._exchange = self._channel.unary_unary(
+            EXCHANGE, request_serializer=UnityMessageProto.SerializeToString, response_deserializer=None
+        )
+
+    def exchange(self, message: Any, timeout: float | None = None) -> Any:
+        """Sends a message and waits for the trainer's.
+
+        Raises:
+            ConnectionFailed: The trainer is gone, or its answer is not a protocol message.
+        """
+        try:
+            reply = self._exchange(message, timeout=timeout)
+        except grpc.RpcError as error:
+            raise ConnectionFailed(
+                f"The connection to the trainer at {self._address} broke ({error.code().name}); it stopped or was killed."
+            ) from error
+        try:
+            return UnityMessageProto.FromString(reply)
+        except DecodeError as error:
+            raise ConnectionFailed(
+                f"The trainer at {self._address} sent {len(reply)} bytes that are not a protocol message; "
+                "is it an ML-Agents trainer?"
+            ) from error
+
+    def close(self) -> None:
+        """Closes the channel."""
+        self._channel.close()

@@ -1,0 +1,118 @@
+"""The ``corridor-server`` command: a player's command line, as a trainer or a person uses it."""
+
+import argparse
+import logging
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from corridor_server.config import CorridorConfig
+from corridor_server.connection import Connection, ConnectionFailed
+from corridor_server.player import Player, PlayerError
+
+EDITOR_PORT = 5004
+logger = logging.getLogger("corridor_server")
+
+
+class Stopped(Exception):
+    """A signal asked the player to stop."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a player; returns the process's exit code (0 when the trainer ended the session)."""
+    options, ignored = _parser().parse_known_args(arguments)
+    try:
+        _start_log(options.log_file)
+        if ignored:
+            logger.info("Arguments ignored: %s", " ".join(ignored))
+        config = CorridorConfig() if options.config is None else CorridorConfig.from_file(options.config)
+        return _play(options, config)
+    except (ValueError, OSError, ConnectionFailed, PlayerError) as error:
+        logger.error("%s", error)
+        return 1
+
+
+def _play(options: argparse.Namespace, config: CorridorConfig) -> int:
+    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGINT, _stop)
+    try:
+        connection = Connection(options.host, options.mlagents_port, options.timeout_wait)
+    except Stopped as stopped:
+        logger.info("%s before a trainer was found.", stopped)
+        return 0
+    player = Player(connection, config, _package_version(), options.seed, options.num_areas)
+    try:
+        player.run()
+    except Stopped as stopped:
+        logger.info("%s; the trainer is told.", stopped)
+        player.say_farewell()
+    finally:
+        connection.close()
+    return 0
+
+
+def _stop(number: int, frame: FrameType | None) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)
+    raise Stopped(f"Stopped by {signal.Signals(number).name}")
+
+
+def _start_log(path: str | None) -> None:
+    handler: logging.Handler
+    if path is None:
+        handler = logging.StreamHandler(sys.stderr)
+    elif path == "-":
+        handler = logging.StreamHandler(sys.stdout)
+    else:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", handlers=[handler], force=True
+    )
+
+
+def _package_version() -> str:
+    try:
+        return version("curious-corridor")
+    except PackageNotFoundError:  # run from a checkout that is not installed
+        return "0"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="corridor-server",
+        description="The paper's corridor as an ML-Agents player. Unknown arguments are ignored, as Unity does.",
+        allow_abbrev=False,
+    )
+    unity = parser.add_argument_group("arguments that a trainer passes to any player")
+    unity.add_argument(
+        "--mlagents-port", type=int, default=EDITOR_PORT, metavar="N", help="the trainer's port (default: %(default)s)"
+    )
+    unity.add_argument(
+        "-logFile", "-logfile", dest="log_file", metavar="PATH", help="log to this file; - is standard output"
+    )
+    unity.add_argument("-nographics", action="store_true", help="accepted: there are no graphics")
+    unity.add_argument("-batchmode", action="store_true", help="accepted: there is no window")
+    own = parser.add_argument_group("the corridor's own")
+    own.add_argument("--host", default="localhost", help="the trainer's host (default: %(default)s)")
+    own.add_argument("--num-areas", type=_positive, metavar="N", help="areas, where the trainer asks for one or none")
+    own.add_argument("--seed", type=int, metavar="N", help="used instead of the trainer's seed")
+    own.add_argument("--config", type=Path, metavar="FILE", help="the corridor's parameters, YAML or JSON")
+    own.add_argument(
+        "--timeout-wait", type=float, default=60.0, metavar="S", help="seconds to wait for it (default: %(default)g)"
+    )
+    return parser
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} areas can't be served; give 1 or more.")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""The life of a player: handshake, then reset and step until the trainer has had enough (protocol.md of ML-Agents)."""
+
+import logging
+from typing import Any
+
+from corridor_server import side_channels, wire
+from corridor_server.areas import Areas, Batch
+from corridor_server.config import CorridorConfig
+from corridor_server.connection import Connection, ConnectionFailed
+from corridor_server.messages import API_VERSION, QUIT, RESET
+from corridor_server.side_channels import SideChannelError
+
+logger = logging.getLogger(__name__)
+
+FAREWELL_SECONDS = 1.0
+
+
+class PlayerError(Exception):
+    """The player can't go on; the message is for the user."""
+
+
+class Player:
+    """Serves training areas to one trainer.
+
+    Args:
+        connection: An open connection.
+        config: The corridor.
+        package_version: Announced in the handshake.
+        seed: Used instead of the trainer's seed, if given.
+        num_areas: Used where the trainer asks for one area or, as old ones do, for none.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        config: CorridorConfig,
+        package_version: str,
+        seed: int | None = None,
+        num_areas: int | None = None,
+    ) -> None:
+        self._connection = connection
+        self._config = config
+        self._package_version = package_version
+        self._seed = seed
+        self._num_areas = num_areas
+
+    def run(self) -> None:
+        """Plays until the trainer ends it with QUIT or a status other than 200.
+
+        Raises:
+            PlayerError: The trainer's protocol version or a message of its can't be used; it was told so.
+            ConnectionFailed: The connection broke.
+        """
+        try:
+            self._play()
+        except (wire.WireError, SideChannelError) as error:
+            self.say_farewell()
+            raise PlayerError(str(error)) from error
+        except PlayerError:
+            self.say_farewell()
+            raise
+
+    def say_farewell(self) -> None:
+        """Tells the trainer that the player stops (status 400); a trainer that is busy or gone is not waited for."""
+        try:
+            self._connection.exchange(wire.farewell(), timeout=FAREWELL_SECONDS)
+        except ConnectionFailed as error:
+            logger.debug("%s", error)
+
+    def _play(self) -> None:
+        reply = self._connection.exchange(wire.hello(self._package_version))
+        if _stops(reply):
+            return
+        areas = self._areas(reply.unity_input.rl_initialization_input)
+        reply = self._connection.exchange(wire.acknowledgement())
+        batch: Batch | None = None
+        introduced = False
+        while not _stops(reply):
+            rl_input = reply.unity_input.rl_input
+            self._apply_side_channels(areas, rl_input.side_channel)
+            if rl_input.command == RESET or batch is None:
+                batch = areas.reset()
+            else:
+                batch = areas.step(wire.actions(rl_input, len(areas)))
+            statistics = side_channels.write_statistics(batch)
+            reply = self._connection.exchange(wire.output(batch, statistics, introduce=not introduced))
+            introduced = True
+        logger.info("The trainer ended the session.")
+
+    def _areas(self, parameters: Any) -> Areas:
+        theirs = parameters.communication_version
+        if theirs.split(".")[0] != API_VERSION.split(".")[0]:
+            raise PlayerError(
+                f"The trainer speaks communication version {theirs or 'unknown'} and this player {API_VERSION}; "
+                "use an mlagents-envs whose version has the same major number."
+            )
+        if theirs != API_VERSION:
+            logger.warning("The trainer speaks communication version %s, this player %s.", theirs, API_VERSION)
+        seed = parameters.seed if self._seed is None else self._seed
+        count = parameters.num_areas if parameters.num_areas > 1 else (self._num_areas or 1)
+        logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
+        return Areas(self._config, seed, range(count))
+
+    def _apply_side_channels(self, areas: Areas, buffer: bytes) -> None:
+        for channel, payload in side_channels.split(buffer):
+            if channel == side_channels.ENVIRONMENT_PARAMETERS:
+                name, value = side_channels.read_environment_parameter(payload)
+                try:
+                    areas.set_parameter(name, value)
+                except ValueError as error:
+                    logger.warning("%s It was ignored.", error)
+                else:
+                    logger.info("Environment parameter %s = %s.", name, value)
+            elif channel == side_channels.ENGINE_CONFIGURATION:
+                setting = side_channels.read_engine_setting(payload)
+                logger.info("Engine setting %s noted: the corridor has no engine to set.", setting)
+            elif channel != side_channels.TRAINING_ANALYTICS:
+                logger.warning("A message of %d bytes for unknown side channel %s was skipped.", len(payload), channel)
+
+
+def _stops(reply: Any) -> bool:
+    return bool(reply.header.status != wire.OK or reply.unity_input.rl_input.command == QUIT)

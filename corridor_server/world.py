@@ -1,0 +1,275 @@
+"""The paper's corridor as pure functions over arrays (sections III-C, III-D and IV).
+
+Every array has a leading axis of A areas, which never meet. ``Parameters`` maps a parameter's name to one float64 per
+area, so that areas may differ. Positions are (x, z) in metres: x runs along the corridor, z across it. All arithmetic
+is element-wise float64, so an area's numbers do not depend on how many areas there are.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Parameters = Mapping[str, Floats]
+
+ACTION_SIZE = 2
+# A thousand steps of -0.001 add up to just above -1 in floating point, and must end the episode all the same.
+RETURN_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class State:
+    """Where everything is, for A areas with K opponents each.
+
+    Attributes:
+        position: The agents' centres, (A, 2) m.
+        velocity: (A, 2) m/s.
+        goal: The agents' targets, (A, 2) m.
+        switch_on: (A,).
+        opponent_position: (A, K, 2) m.
+        opponent_velocity: (A, K, 2) m/s.
+        opponent_target: Hidden from the agent (eq. 8), (A, K, 2) m.
+        episode_return: Accumulated reward of the running episode, without the failure penalty, (A,).
+        episode_steps: Decisions since the episode began, (A,).
+    """
+
+    position: Floats
+    velocity: Floats
+    goal: Floats
+    switch_on: Bools
+    opponent_position: Floats
+    opponent_velocity: Floats
+    opponent_target: Floats
+    episode_return: Floats
+    episode_steps: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, areas: int, opponents: int) -> "State":
+        """A state of zeros, to merge episodes into."""
+        pair, pairs = np.zeros((areas, 2)), np.zeros((areas, opponents, 2))
+        steps = np.zeros(areas, dtype=np.int64)
+        return cls(pair, pair, pair, np.zeros(areas, dtype=np.bool_), pairs, pairs, pairs, np.zeros(areas), steps)
+
+    def merged(self, areas: NDArray[np.intp], other: "State") -> "State":
+        """This state with the given areas' rows taken, in order, from ``other``."""
+        columns = {}
+        for column in fields(self):
+            columns[column.name] = getattr(self, column.name).copy()
+            columns[column.name][areas] = getattr(other, column.name)
+        return State(**columns)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one decision led to, each (A,).
+
+    Attributes:
+        reward: Eq. 9, and the failure penalty where the episode failed.
+        success: The goal was reached with the switch on (terminated).
+        failed: Accumulated reward reached ``failure_return`` (terminated).
+        truncated: The step limit, where one is set, cut the episode.
+        wall_contact: The step pushed the agent into a wall.
+        opponent_contact: The agent's surface touches an opponent's.
+        nearest_opponent: d_opp, centre to centre in half-lengths.
+    """
+
+    reward: Floats
+    success: Bools
+    failed: Bools
+    truncated: Bools
+    wall_contact: Bools
+    opponent_contact: Bools
+    nearest_opponent: Floats
+
+
+def initial(p: Parameters, num_opponents: int, generators: Sequence[np.random.Generator]) -> State:
+    """Draws a new episode for each area from that area's own generator.
+
+    Starts and targets are drawn uniformly and then kept inside the walls, whatever the parameters.
+    """
+    areas = len(generators)
+    # One draw of fixed length an episode; an opponent's part comes last, so that K does not shift the rest.
+    u = np.stack([generator.random(3 + 3 * num_opponents) for generator in generators])
+    of_opponents = u[:, 3:].reshape(areas, num_opponents, 3)
+    each = {name: column[:, None] for name, column in p.items()}
+
+    position = np.stack(
+        [_between(p["agent_spawn_x_min"], p["agent_spawn_x_max"], u[:, 0]), _within(p["spawn_z"], u[:, 1])], axis=-1
+    )
+    goal = np.stack([p["goal_x"], _within(p["goal_z"], u[:, 2])], axis=-1)
+    opponent_position = np.stack(
+        [
+            _between(each["opponent_spawn_x_min"], each["opponent_spawn_x_max"], of_opponents[..., 0]),
+            _within(each["spawn_z"], of_opponents[..., 1]),
+        ],
+        axis=-1,
+    )
+    opponent_target = np.stack(
+        [
+            np.broadcast_to(each["opponent_target_x"], (areas, num_opponents)),
+            _within(each["opponent_target_z"], of_opponents[..., 2]),
+        ],
+        axis=-1,
+    )
+    limit, opponent_limit = _centre_limits(p, p["agent_radius"]), _centre_limits(p, p["opponent_radius"])[:, None]
+    position = np.clip(position, -limit, limit)
+    opponent_position = np.clip(opponent_position, -opponent_limit, opponent_limit)
+    opponent_target = np.clip(opponent_target, -opponent_limit, opponent_limit)
+    return State(
+        position=position,
+        velocity=np.zeros((areas, 2)),
+        goal=np.clip(goal, -limit, limit),
+        switch_on=_in_switch(p, position),
+        opponent_position=opponent_position,
+        opponent_velocity=_toward(each["opponent_speed"], opponent_target - opponent_position)[0],
+        opponent_target=opponent_target,
+        episode_return=np.zeros(areas),
+        episode_steps=np.zeros(areas, dtype=np.int64),
+    )
+
+
+def step(p: Parameters, state: State, action: Floats) -> tuple[State, Outcome]:
+    """One decision in every area: motion, contacts, eq. 9's reward and the episode's end.
+
+    Args:
+        p: Parameters, one value per area.
+        state: Where everything is.
+        action: (A, 2), expected in [-1, 1] and clipped to it.
+
+    Returns:
+        The next state (of the same episodes, ended ones included) and what happened.
+    """
+    seconds = p["decision_seconds"]
+    position, velocity, wall_contact = _move_agent(p, state, np.clip(action, -1.0, 1.0))
+
+    to_target = state.opponent_target - state.opponent_position
+    heading, distance = _toward(p["opponent_speed"][:, None], to_target)
+    arrives = distance <= (p["opponent_speed"] * seconds)[:, None]
+    opponent_position = np.where(
+        arrives[..., None], state.opponent_target, state.opponent_position + heading * seconds[:, None, None]
+    )
+    opponent_velocity = np.where(arrives[..., None], 0.0, heading)
+
+    switch_on = state.switch_on | _in_switch(p, position)
+    apart = _nearest(position, opponent_position)
+    d_opp = apart / p["half_length"]
+    opponent_contact = apart <= p["agent_radius"] + p["opponent_radius"]
+    success = switch_on & (_length(state.goal - position) <= p["goal_radius"])
+
+    reward = _reward(p, success, wall_contact, opponent_contact, d_opp)
+    episode_return = state.episode_return + reward
+    episode_steps = state.episode_steps + 1
+    failed = ~success & (episode_return <= p["failure_return"] + RETURN_TOLERANCE)
+    truncated = ~success & ~failed & (p["max_episode_steps"] > 0) & (episode_steps >= p["max_episode_steps"])
+
+    moved = State(
+        position=position,
+        velocity=velocity,
+        goal=state.goal,
+        switch_on=switch_on,
+        opponent_position=opponent_position,
+        opponent_velocity=opponent_velocity,
+        opponent_target=state.opponent_target,
+        episode_return=episode_return,
+        episode_steps=episode_steps,
+    )
+    outcome = Outcome(
+        reward=reward - np.where(failed, p["failure_penalty"], 0.0),
+        success=success,
+        failed=failed,
+        truncated=truncated,
+        wall_contact=wall_contact,
+        opponent_contact=opponent_contact,
+        nearest_opponent=d_opp,
+    )
+    return moved, outcome
+
+
+def observation(p: Parameters, state: State) -> NDArray[np.float32]:
+    """Eq. 10's agent-centric state, (A, 8 + 5K) float32.
+
+    In order: p, V, p_g, d_g, sw_ind, then for each opponent p_op, d_op, V_op (eq. 8). Positions and distances are in
+    half-lengths of the corridor, velocities in half-lengths per second, sw_ind is 0 or 1.
+    """
+    areas, opponents, _ = state.opponent_position.shape
+    scale = p["half_length"][:, None]
+    result = np.empty((areas, 8 + 5 * opponents), dtype=np.float32)
+    result[:, 0:2] = state.position / scale
+    result[:, 2:4] = state.velocity / scale
+    result[:, 4:6] = state.goal / scale
+    result[:, 6] = _length(state.goal - state.position) / p["half_length"]
+    result[:, 7] = state.switch_on
+    each = result[:, 8:].reshape(areas, opponents, 5)
+    each[..., 0:2] = state.opponent_position / scale[..., None]
+    each[..., 2] = _length(state.opponent_position - state.position[:, None]) / scale
+    each[..., 3:5] = state.opponent_velocity / scale[..., None]
+    return result
+
+
+def nearest_opponent(p: Parameters, state: State) -> Floats:
+    """d_opp of the nearest opponent, centre to centre in half-lengths, (A,)."""
+    return _nearest(state.position, state.opponent_position) / p["half_length"]
+
+
+def _reward(p: Parameters, success: Bools, wall_contact: Bools, opponent_contact: Bools, d_opp: Floats) -> Floats:
+    """Eq. 9: the first case that applies."""
+    return np.select(
+        [success, wall_contact, opponent_contact, d_opp < p["near_distance"]],
+        [
+            p["goal_reward"],
+            -p["wall_penalty"],
+            -p["contact_penalty"],
+            -p["near_penalty"] - (1.0 - d_opp) / 4.0,
+        ],
+        default=-p["step_penalty"],
+    )
+
+
+def _nearest(position: Floats, opponent_position: Floats) -> Floats:
+    result: Floats = _length(opponent_position - position[:, None]).min(axis=1)
+    return result
+
+
+def _move_agent(p: Parameters, state: State, action: Floats) -> tuple[Floats, Floats, Bools]:
+    """Solves dv/dt = (speed x action - v) / time constant over one decision; an axis that meets a wall is stopped."""
+    seconds, lag, decay = (p[name][:, None] for name in ("decision_seconds", "agent_time_constant", "velocity_decay"))
+    wanted = p["agent_speed"][:, None] * action
+    excess = state.velocity - wanted
+    velocity = wanted + excess * decay
+    position = state.position + wanted * seconds + excess * (lag * (1.0 - decay))
+    limit = _centre_limits(p, p["agent_radius"])
+    beyond = np.abs(position) > limit
+    return np.clip(position, -limit, limit), np.where(beyond, 0.0, velocity), beyond.any(axis=1)
+
+
+def _toward(speed: Floats, offset: Floats) -> tuple[Floats, Floats]:
+    """Velocity of the given speed along each offset (zero where there is none), and the offset's length."""
+    distance = _length(offset)
+    return offset * (speed / np.where(distance > 0.0, distance, 1.0))[..., None], distance
+
+
+def _in_switch(p: Parameters, position: Floats) -> Bools:
+    switch = np.stack([p["switch_x"], p["switch_z"]], axis=-1)
+    return _length(switch - position) <= p["switch_radius"]
+
+
+def _centre_limits(p: Parameters, radius: Floats) -> Floats:
+    """How far from the origin a centre can be along x and z, (A, 2) m."""
+    return np.maximum(np.stack([p["half_length"] - radius, p["half_width"] - radius], axis=-1), 0.0)
+
+
+def _length(offset: Floats) -> Floats:
+    x, z = offset[..., 0], offset[..., 1]
+    result: Floats = np.sqrt(x * x + z * z)
+    return result
+
+
+def _between(low: Floats, high: Floats, u: Floats) -> Floats:
+    return low + (high - low) * u
+
+
+def _within(bound: Floats, u: Floats) -> Floats:
+    return bound * (2.0 * u - 1.0)

@@ -1,0 +1,95 @@
+"""A run's learned state in one file: weights, optimisers, normaliser statistics and the step count."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from trainer.curiosity import Curiosity
+from trainer.errors import TrainerError
+
+KEPT = 5
+
+
+def save_checkpoint(
+    folder: Path, counters: dict[str, Any], model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None
+) -> Path:
+    """Writes ``step-N.pt`` whole or not at all, and removes all but the newest ``KEPT``."""
+    state: dict[str, Any] = {
+        "counters": counters,
+        "policy": model.policy.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict(),
+        "normaliser": {
+            "mean": torch.from_numpy(np.asarray(normaliser.obs_rms.mean)),
+            "var": torch.from_numpy(np.asarray(normaliser.obs_rms.var)),
+            "count": float(normaliser.obs_rms.count),
+        },
+    }
+    if curiosity is not None:
+        state["curiosity"] = curiosity.module.state_dict()
+        state["curiosity_optimizer"] = curiosity.optimizer.state_dict()
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"step-{model.num_timesteps:010d}.pt"
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    for old in _checkpoints(folder)[:-KEPT]:
+        old.unlink()
+    return path
+
+
+def latest_checkpoint(folder: Path) -> Path:
+    """The newest checkpoint of a run.
+
+    Raises:
+        TrainerError: There is none.
+    """
+    found = _checkpoints(folder)
+    if not found:
+        raise TrainerError(f"{folder} holds no checkpoint (step-*.pt); train the run first.")
+    return found[-1]
+
+
+def load_checkpoint(
+    path: Path, model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None
+) -> dict[str, Any]:
+    """Puts a checkpoint's state into a run built with the same settings. Reads tensors only, never code.
+
+    Returns:
+        The counters that were saved with it.
+
+    Raises:
+        TrainerError: The file is unreadable, or belongs to other settings or another observation or action size.
+    """
+    try:
+        state = torch.load(path, weights_only=True)
+    except Exception as error:  # torch raises many kinds for a broken file
+        raise TrainerError(f"The checkpoint {path} can't be read; use an older one or train again.") from error
+    size, expected = len(state["normaliser"]["mean"]), len(normaliser.obs_rms.mean)
+    if size != expected:
+        raise TrainerError(f"The checkpoint {path} is for observations of {size} floats, but the player's have {expected}.")
+    try:
+        model.policy.load_state_dict(state["policy"])
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+        if curiosity is not None:
+            curiosity.module.load_state_dict(state["curiosity"])
+            curiosity.optimizer.load_state_dict(state["curiosity_optimizer"])
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise TrainerError(f"The checkpoint {path} is for other settings: {' '.join(str(error).split())[:300]}") from error
+    counters: dict[str, Any] = state["counters"]
+    model.num_timesteps = counters["env_steps"]
+    normaliser.obs_rms.mean = state["normaliser"]["mean"].numpy()
+    normaliser.obs_rms.var = state["normaliser"]["var"].numpy()
+    normaliser.obs_rms.count = state["normaliser"]["count"]
+    return counters
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    return sorted(folder.glob("step-*.pt"))

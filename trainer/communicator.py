@@ -1,0 +1,189 @@
+"""The trainer's end of the gRPC connection: what ``UnityEnvironment`` exchanges messages through.
+
+Same contract as ``mlagents_envs.rpc_communicator.RpcCommunicator``, with three differences: it listens on one host,
+loopback by default, instead of everywhere; messages pass between threads without pickling; and a player whose
+connection breaks is noticed at once.
+"""
+
+import errno
+import socket
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import grpc
+from google.protobuf.message import DecodeError
+from mlagents_envs.communicator import Communicator
+from mlagents_envs.exception import UnityCommunicationException, UnityTimeOutException, UnityWorkerInUseException
+
+from corridor_server.messages import SERVICE, UnityMessageProto
+
+OK, STOP = 200, 400
+HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
+POLL_SECONDS = 0.5
+EXIT_SECONDS = 2.0
+MAX_MESSAGE_BYTES = 256 * 2**20
+
+PollCallback = Callable[[], None]
+
+
+class ExchangeCommunicator(Communicator):
+    """Serves one player on ``host:(base_port + worker_id)``.
+
+    Args:
+        worker_id: Number of the player, added to the port.
+        base_port: First port.
+        timeout_wait: Seconds to wait for each message of the player.
+        host: Where to listen. The protocol has no authentication: anything but loopback trusts the network.
+
+    Raises:
+        UnityWorkerInUseException: The port is taken.
+    """
+
+    def __init__(self, worker_id: int, base_port: int, timeout_wait: float, host: str = "localhost") -> None:
+        super().__init__(worker_id, base_port)
+        self._timeout_wait = timeout_wait
+        # From the player: a message's bytes, or None when its connection broke. To the player: its next message.
+        self._received: SimpleQueue[bytes | None] = SimpleQueue()
+        self._replies: SimpleQueue[Any] = SimpleQueue()
+        self._peer: str | None = None
+        self._server: grpc.Server | None = self._serve(worker_id, host, base_port + worker_id)
+
+    def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
+        _check_port(worker_id, host, port)
+        server = grpc.server(
+            ThreadPoolExecutor(max_workers=HANDLERS, thread_name_prefix="exchange"),
+            options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
+        )
+        exchange = grpc.unary_unary_rpc_method_handler(
+            self._answer, request_deserializer=None, response_serializer=UnityMessageProto.SerializeToString
+        )
+        server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": exchange})])
+        try:
+            server.add_insecure_port(f"{host}:{port}")
+        except RuntimeError as error:
+            raise UnityWorkerInUseException(worker_id) from error
+        server.start()
+        return server
+
+    def _answer(self, request: bytes, context: grpc.ServicerContext) -> Any:
+        """Hands the player's message to the trainer's thread and waits for the reply (runs in a gRPC thread)."""
+        if self._peer is None:
+            self._peer = context.peer()
+        elif context.peer() != self._peer:
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, "Another player is connected to this trainer.")
+        answered = False
+
+        def ended() -> None:
+            if not answered:
+                self._received.put(None)
+
+        if not context.add_callback(ended):
+            self._received.put(None)
+        self._received.put(request)
+        while True:
+            try:
+                reply = self._replies.get(timeout=POLL_SECONDS)
+                break
+            except Empty:
+                if not threading.main_thread().is_alive():  # a program that ends without close() must not hang
+                    reply = _stop_message()
+                    break
+        answered = True
+        return reply
+
+    def initialize(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
+        """Waits for the player's first message, answers it, and returns what it said."""
+        first = self._receive(poll_callback)
+        if first is None:
+            raise UnityCommunicationException("The player broke the connection during the handshake.")
+        self._reply(inputs)
+        if self._receive(poll_callback) is None:
+            raise UnityCommunicationException("The player broke the connection during the handshake.")
+        return first.unity_output
+
+    def exchange(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
+        """Sends a command and returns the player's answer, or None when the player has stopped."""
+        self._reply(inputs)
+        message = self._receive(poll_callback)
+        if message is None or message.header.status != OK:
+            return None
+        return message.unity_output
+
+    def close(self) -> None:
+        """Tells the player to stop and closes the port."""
+        if self._server is None:
+            return
+        for _ in range(HANDLERS):
+            self._replies.put(_stop_message())
+        self._server.stop(grace=1.0).wait()
+        self._server = None
+
+    def _reply(self, inputs: Any) -> None:
+        message = UnityMessageProto()
+        message.header.status = OK
+        message.unity_input.CopyFrom(inputs)
+        self._replies.put(message)
+
+    def _receive(self, poll_callback: PollCallback | None) -> Any:
+        """The player's next message, or None when its connection broke.
+
+        Raises:
+            UnityTimeOutException: Nothing came within ``timeout_wait``.
+            UnityEnvironmentException: ``poll_callback`` found the player's process dead.
+        """
+        deadline = time.monotonic() + self._timeout_wait
+        while True:
+            try:
+                data = self._received.get(timeout=min(POLL_SECONDS, max(deadline - time.monotonic(), 0.0)))
+                break
+            except Empty:
+                if poll_callback is not None:
+                    poll_callback()
+                if time.monotonic() >= deadline:
+                    raise UnityTimeOutException(f"The player sent nothing for {self._timeout_wait:g} s.") from None
+        if data is None:
+            _wait_for_exit(poll_callback)
+            return None
+        try:
+            return UnityMessageProto.FromString(data)
+        except DecodeError as error:
+            raise UnityCommunicationException(
+                f"The player sent {len(data)} bytes that are not a message of the ML-Agents protocol."
+            ) from error
+
+
+def _stop_message() -> Any:
+    message = UnityMessageProto()
+    message.header.status = STOP
+    return message
+
+
+def _wait_for_exit(poll_callback: PollCallback | None) -> None:
+    """A process that broke its connection is about to end: lets the callback report its exit code, if it does."""
+    deadline = time.monotonic() + EXIT_SECONDS
+    while poll_callback is not None and time.monotonic() < deadline:
+        poll_callback()
+        time.sleep(0.02)
+
+
+def _check_port(worker_id: int, host: str, port: int) -> None:
+    """gRPC is content when one of a host's addresses is free; a player may dial any of them."""
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise UnityCommunicationException(f"The host {host!r} to listen on is not known ({error}).") from error
+    for family, kind, protocol, _, address in addresses:
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                if family == socket.AF_INET6:
+                    probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                probe.bind(address)
+        except OSError as error:
+            if error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                continue  # a name's address of a family that this machine doesn't use
+            raise UnityWorkerInUseException(worker_id) from error

@@ -1,0 +1,133 @@
+"""Everything that decides a run: presets, hyperparameters, and the record that ``configuration.yaml`` keeps."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Literal
+
+PAPER_STEPS = 1_500_000
+PresetName = Literal["fast", "paper"]
+Algorithm = Literal["ppo"]
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyperparameters of Stable-Baselines3's PPO (section III-A).
+
+    Attributes:
+        n_steps: Steps of each area in an update.
+        minibatches: Minibatches that an update's steps are cut into.
+        epochs: Passes over an update's steps.
+        learning_rate: Adam's.
+        gamma: Discount factor of eq. 1.
+        gae_lambda: Generalised advantage estimation's lambda.
+        clip_range: Epsilon of eq. 5.
+        clip_range_vf: The same for the value function.
+        ent_coef: Weight of the entropy bonus.
+        vf_coef: Weight of the value loss.
+        max_grad_norm: Limit of the gradient's norm.
+        hidden_size: Units in each of the two hidden layers of actor and critic, which share none.
+    """
+
+    n_steps: int = 8
+    minibatches: int = 4
+    epochs: int = 4
+    learning_rate: float = 2.5e-4
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    clip_range_vf: float = 0.2
+    ent_coef: float = 0.0
+    vf_coef: float = 0.5
+    max_grad_norm: float = 0.5
+    hidden_size: int = 64
+
+
+@dataclass(frozen=True)
+class CuriosityConfig:
+    """How curious the agent is, and how its curiosity learns (section III-B).
+
+    Attributes:
+        c: Limits the intrinsic reward before it is added to the extrinsic one (the paper's curiosity ratio).
+        scale: Fixed factor on eq. 6, which brings r_i to the size that the paper's values of c presuppose.
+        feature_size: Size of the encoding phi.
+        hidden_size: Units in the hidden layer of each network.
+        learning_rate: Adam's.
+        minibatches: Gradient steps per update; each transition is used once.
+        forward_weight: Share of the forward model's loss; the inverse model has the rest.
+        next_state: What follows an episode's last state: ``terminal``, its own last observation, or ``reset``, the
+            next episode's first, as a Gym loop that looks only at the returned observation has it.
+    """
+
+    c: float = 0.3
+    scale: float = 0.2
+    feature_size: int = 16
+    hidden_size: int = 64
+    learning_rate: float = 1e-3
+    minibatches: int = 4
+    forward_weight: float = 0.2
+    next_state: Literal["terminal", "reset"] = "terminal"
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One training run. With the same versions and machine, it decides every number of the run.
+
+    Attributes:
+        run_id: Name of the run and its folder.
+        env: ``builtin``, ``editor``, a build's path, or ``HOST:PORT``.
+        preset: The preset that the rest began as.
+        algo: The learning algorithm.
+        seed: Seeds the player, the networks, the actions and the minibatches.
+        penalty: Subtracted when an episode fails (the environment parameter ``failure_penalty``).
+        steps: Agent steps to train for.
+        num_areas: Training areas in the player.
+        through_gym: One area through ``UnityToGymWrapper``, as the paper, instead of the vector path.
+        ppo: Hyperparameters.
+        curiosity: Hyperparameters; c = 0 is base PPO without any curiosity module.
+    """
+
+    run_id: str
+    env: str
+    preset: PresetName
+    algo: Algorithm
+    seed: int
+    penalty: float
+    steps: int
+    num_areas: int
+    through_gym: bool
+    ppo: PPOConfig
+    curiosity: CuriosityConfig
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain names and values, as ``from_dict`` reads them."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "RunConfig":
+        """The inverse of ``as_dict``.
+
+        Raises:
+            TypeError: A value is missing or unknown.
+        """
+        ppo, curiosity = PPOConfig(**values["ppo"]), CuriosityConfig(**values["curiosity"])
+        return cls(**{**values, "ppo": ppo, "curiosity": curiosity})
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A way to train: how many areas, over which path, with which hyperparameters."""
+
+    num_areas: int
+    through_gym: bool
+    ppo: PPOConfig
+    curiosity: CuriosityConfig
+
+
+PRESETS: dict[PresetName, Preset] = {
+    # Small, frequent updates from many areas: what finds the goal before the failure penalty teaches hiding.
+    "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
+    # One area, and the defaults of the Stable Baselines release that the paper used.
+    "paper": Preset(
+        num_areas=1, through_gym=True, ppo=PPOConfig(n_steps=128, ent_coef=0.01), curiosity=CuriosityConfig()
+    ),
+}

@@ -1,0 +1,166 @@
+"""The ``corridor`` command."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from trainer.config import PAPER_STEPS, PRESETS, Algorithm, PresetName, RunConfig
+from trainer.errors import TrainerError
+from trainer.results import RunFolder
+
+INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train an agent on an ML-Agents environment, then evaluate it.
+
+    Attributes:
+        run_id: Name of the run; its results go to RESULTS_DIR/RUN_ID.
+        env: builtin (our corridor), editor (the Unity editor, port 5004), a build's path, or HOST:PORT to listen on.
+        preset: fast: many areas through one player; paper: one area through UnityToGymWrapper, as the paper did.
+        c: The paper's curiosity ratio; 0 is base PPO.
+        seed: Decides the run.
+        steps: Agent steps to train for.
+        num_areas: Training areas in the player; the preset's if not given.
+        base_port: Port on which a launched player finds the trainer.
+        timeout_wait: Seconds to wait for the player.
+        results_dir: Where runs are kept.
+        resume: Continue an existing run.
+        force: Overwrite an existing run.
+        algo: The learning algorithm.
+        penalty: Subtracted from the reward when an episode fails; 0 for the paper's case study B.
+        eval_episodes: Episodes of the evaluation at the end.
+    """
+
+    run_id: str
+    env: str = "builtin"
+    preset: PresetName = "fast"
+    c: float = 0.3
+    seed: int = 0
+    steps: int = PAPER_STEPS
+    num_areas: int | None = None
+    base_port: int = 5005
+    timeout_wait: int = 60
+    results_dir: Path = Path("results")
+    resume: bool = False
+    force: bool = False
+    algo: Algorithm = "ppo"
+    penalty: float = 1.0
+    eval_episodes: int = 200
+
+    def run_config(self) -> RunConfig:
+        """The run that these arguments ask for.
+
+        Raises:
+            TrainerError: A value is out of its range.
+        """
+        preset = PRESETS[self.preset]
+        areas = preset.num_areas if self.num_areas is None else self.num_areas
+        at_least = [("steps", self.steps, 1), ("num-areas", areas, 1), ("timeout-wait", self.timeout_wait, 1)]
+        at_least += [("eval-episodes", self.eval_episodes, 1), ("seed", self.seed, 0), ("base-port", self.base_port, 1)]
+        for name, value, low in at_least:
+            if value < low:
+                raise TrainerError(f"--{name} is {value}, but a whole number from {low} up was expected.")
+        if self.seed >= 2**31:
+            raise TrainerError(f"--seed is {self.seed}, but the protocol carries seeds below {2**31}.")
+        if self.base_port > 65535:
+            raise TrainerError(f"--base-port is {self.base_port}, but ports end at 65535.")
+        for name, number in (("c", self.c), ("penalty", self.penalty)):
+            if not 0.0 <= number <= 1000.0:
+                raise TrainerError(f"--{name} is {number:g}, but a number from 0 to 1000 was expected.")
+        if preset.through_gym and areas != 1:
+            raise TrainerError(
+                f"--num-areas is {areas}, but preset {self.preset} trains one area through UnityToGymWrapper; "
+                "leave --num-areas out, or take preset fast."
+            )
+        return RunConfig(
+            run_id=self.run_id,
+            env=self.env,
+            preset=self.preset,
+            algo=self.algo,
+            seed=self.seed,
+            penalty=self.penalty,
+            steps=self.steps,
+            num_areas=areas,
+            through_gym=preset.through_gym,
+            ppo=preset.ppo,
+            curiosity=dataclasses.replace(preset.curiosity, c=self.c),
+        )
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Repeat the evaluation of a trained run.
+
+    Attributes:
+        run: The run's id, or the path of its folder.
+        episodes: How many episodes to play.
+        base_port: Port on which a launched player finds the trainer.
+        timeout_wait: Seconds to wait for the player.
+        results_dir: Where runs are kept.
+    """
+
+    run: tyro.conf.Positional[str]
+    episodes: int = 200
+    base_port: int = 5005
+    timeout_wait: int = 60
+    results_dir: Path = Path("results")
+
+
+Command = (
+    Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; returns the process's exit code."""
+    command = tyro.cli(Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    console = Console(stderr=True)
+    try:
+        return _run(command)
+    except TrainerError as error:
+        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        return 1
+    except KeyboardInterrupt:
+        console.print("Stopped.")
+        return INTERRUPTED
+
+
+def _run(command: Train | Evaluate) -> int:
+    if isinstance(command, Train):
+        config = command.run_config()
+        folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)
+        from trainer import run  # torch takes seconds to import, and an error before it should not
+
+        finished = run.train_run(
+            config,
+            folder,
+            port=command.base_port,
+            timeout_wait=command.timeout_wait,
+            episodes=command.eval_episodes,
+            resumed=command.resume,
+        )
+        return 0 if finished else INTERRUPTED
+    folder = RunFolder.find(command.run, command.results_dir)
+    config = folder.read_config()
+    if command.episodes < 1:
+        raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
+    from trainer import run
+
+    run.evaluate_run(
+        config, folder, port=command.base_port, timeout_wait=command.timeout_wait, episodes=command.episodes
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

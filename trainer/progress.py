@@ -1,0 +1,81 @@
+"""What a person sees while a run trains: a progress bar in a terminal, a line now and then elsewhere."""
+
+from dataclasses import dataclass
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from trainer.config import RunConfig
+
+LINES = 15  # printed over a whole run where there is no terminal
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A run at one moment; means are over the last episodes, None before there are any."""
+
+    steps: int
+    mean_return: float | None
+    success_rate: float | None
+    mean_length: float | None
+    intrinsic_reward: float | None
+
+    def text(self) -> str:
+        """Return, success rate, episode length and intrinsic reward."""
+        return (
+            f"return {_number(self.mean_return, '+.2f')}  success {_number(self.success_rate, '.0%')}  "
+            f"length {_number(self.mean_length, '.0f')}  curiosity {_number(self.intrinsic_reward, '.5f')}"
+        )
+
+
+class _SpeedColumn(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        return Text("- steps/s" if task.speed is None else f"{task.speed:,.0f} steps/s")
+
+
+class ProgressDisplay:
+    """Shows snapshots of a run.
+
+    Args:
+        config: The run.
+        done_before: Steps that a resumed run already has.
+    """
+
+    def __init__(self, config: RunConfig, done_before: int) -> None:
+        self._console = Console()
+        self._total = config.steps
+        self._next_line = done_before
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
+            _SpeedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}"),
+            console=self._console,
+            speed_estimate_period=10.0,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task(config.run_id, total=config.steps, completed=done_before, text="")
+
+    def __enter__(self) -> "ProgressDisplay":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Shows a newer snapshot."""
+        self._bar.update(self._task, completed=min(snapshot.steps, self._total), text=snapshot.text())
+        if not self._console.is_terminal and snapshot.steps >= self._next_line:
+            self._next_line += max(self._total // LINES, 1)
+            self._console.print(f"{snapshot.steps:>9,} steps  {snapshot.text()}", highlight=False)
+
+
+def _number(value: float | None, layout: str) -> str:
+    return "-" if value is None else format(value, layout)

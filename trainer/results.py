@@ -1,0 +1,197 @@
+"""A run's folder, ``results/<run-id>/``: what is in it, how it comes to be, and who may write to it."""
+
+import csv
+import json
+import os
+import platform
+import re
+import shutil
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+from stable_baselines3.common.logger import KVWriter
+
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+
+PACKAGES = ("curious-corridor", "mlagents-envs", "stable-baselines3", "torch", "gymnasium", "numpy", "grpcio", "protobuf")
+
+# Columns of progress.csv and the logger's tags that fill them; the last two are timing and differ between runs.
+PROGRESS_COLUMNS = {
+    "env_steps": "time/total_timesteps",
+    "episodes": "rollout/episodes",
+    "mean_return": "rollout/ep_rew_mean",
+    "mean_episode_length": "rollout/ep_len_mean",
+    "success_rate": "rollout/success_rate",
+    "intrinsic_reward": "rollout/intrinsic_reward",
+    "curiosity_return": "Policy/Curiosity Reward",
+    "curiosity_forward_loss": "Losses/Curiosity Forward Loss",
+    "curiosity_inverse_loss": "Losses/Curiosity Inverse Loss",
+    "policy_loss": "train/policy_gradient_loss",
+    "value_loss": "train/value_loss",
+    "entropy_loss": "train/entropy_loss",
+    "approx_kl": "train/approx_kl",
+    "clip_fraction": "train/clip_fraction",
+    "explained_variance": "train/explained_variance",
+    "action_std": "train/std",
+    "steps_per_second": "time/fps",
+    "wall_seconds": "time/time_elapsed",
+}
+
+
+class RunFolder:
+    """Paths inside one run's folder.
+
+    Args:
+        path: The folder, ``results/<run-id>``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.configuration = path / "configuration.yaml"
+        self.summary = path / "summary.json"
+        self.progress = path / "progress.csv"
+        self.checkpoints = path / "checkpoints"
+        self.tensorboard = path / "tensorboard"
+        self.logs = path / "run_logs"
+        self.learning_curve = path / "learning_curve.png"
+        self.episode_paths = path / "episode_paths.png"
+
+    @classmethod
+    def prepare(cls, config: RunConfig, results_dir: Path, *, resume: bool, force: bool) -> "RunFolder":
+        """Makes the folder of a new run, or takes up that of an existing one, and writes its configuration.
+
+        Raises:
+            TrainerError: The run id is no folder name, the run exists (without ``resume`` or ``force``), it does not
+                (with ``resume``) or has other settings, or the folder can't be written.
+        """
+        if resume and force:
+            raise TrainerError("--resume continues a run and --force overwrites it; give one of them.")
+        if not re.fullmatch(r"[\w.+-]*\w[\w.+-]*", config.run_id):
+            raise TrainerError(f"The run id {config.run_id!r} can't name a folder; use letters, digits, and . _ + -.")
+        folder = cls(results_dir / config.run_id)
+        try:
+            if resume:
+                folder._check_same_settings(config)
+            elif folder.path.exists():
+                folder._make_way(force)
+            folder.path.mkdir(parents=True, exist_ok=True)
+            record = {"run": config.as_dict(), "versions": _versions(), "machine": _machine()}
+            _write(folder.configuration, yaml.safe_dump(record, sort_keys=False))
+        except OSError as error:
+            raise TrainerError(f"{folder.path} can't be written ({error}); choose another with --results-dir.") from error
+        return folder
+
+    @classmethod
+    def find(cls, run: str, results_dir: Path) -> "RunFolder":
+        """The folder of an existing run, by its id or its path.
+
+        Raises:
+            TrainerError: There is none.
+        """
+        for path in (results_dir / run, Path(run)):
+            if (path / "configuration.yaml").is_file():
+                return cls(path)
+        raise TrainerError(f"No run {run!r} in {results_dir}; give a run id there, or the path of a run's folder.")
+
+    def read_config(self) -> RunConfig:
+        """The run's settings.
+
+        Raises:
+            TrainerError: ``configuration.yaml`` is missing or broken.
+        """
+        try:
+            return RunConfig.from_dict(yaml.safe_load(self.configuration.read_text(encoding="utf-8"))["run"])
+        except (OSError, yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
+            raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Writes ``summary.json`` whole or not at all."""
+        _write(self.summary, json.dumps(summary, indent=2) + "\n")
+
+    def read_progress(self) -> list[dict[str, float | None]]:
+        """The rows of ``progress.csv``; None where a column has no value yet."""
+        with self.progress.open(newline="", encoding="utf-8") as file:
+            return [{name: float(text) if text else None for name, text in row.items()} for row in csv.DictReader(file)]
+
+    def _check_same_settings(self, config: RunConfig) -> None:
+        if not self.configuration.is_file():
+            raise TrainerError(f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out.")
+        before, now = _flat(self.read_config().as_dict()), _flat(config.as_dict())
+        differing = [
+            f"{name} {before.get(name)} -> {now.get(name)}"
+            for name in sorted(before.keys() | now.keys())
+            if before.get(name) != now.get(name) and name != "steps"
+        ]
+        if differing:
+            raise TrainerError(f"Run {config.run_id!r} was begun with other settings: {', '.join(differing)}.")
+
+    def _make_way(self, force: bool) -> None:
+        if not force:
+            raise TrainerError(
+                f"The run {self.path.name!r} exists in {self.path.parent}; continue it with --resume, overwrite it "
+                "with --force, or choose another --run-id."
+            )
+        if any(self.path.iterdir()) and not self.configuration.is_file():
+            raise TrainerError(f"{self.path} is not a run's folder, so --force leaves it alone; choose another --run-id.")
+        shutil.rmtree(self.path)
+
+
+class ProgressFile(KVWriter):
+    """``progress.csv``: a Stable-Baselines3 log output with fixed columns, so that equal runs give equal files.
+
+    Args:
+        path: The file.
+        steps: Steps of the checkpoint that a resumed run goes on from: later rows are dropped. 0 begins anew.
+    """
+
+    def __init__(self, path: Path, steps: int) -> None:
+        rows = []
+        if steps and path.is_file():
+            with path.open(newline="", encoding="utf-8") as former:
+                rows = [row for row in csv.DictReader(former) if float(row["env_steps"]) <= steps]
+        self._file = path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.DictWriter(self._file, list(PROGRESS_COLUMNS))
+        self._writer.writeheader()
+        self._writer.writerows(rows)
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """Appends a row."""
+        self._writer.writerow({column: key_values.get(tag) for column, tag in PROGRESS_COLUMNS.items()})
+        self._file.flush()
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+
+def _write(path: Path, text: str) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    return {"system": platform.system(), "machine": platform.machine(), "cpus": os.cpu_count()}

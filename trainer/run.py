@@ -1,0 +1,105 @@
+"""What ``corridor train`` and ``corridor evaluate`` do: a run from the player's start to its files."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+from trainer.config import RunConfig
+from trainer.evaluation import Episode, evaluate, summarise
+from trainer.figures import save_episode_paths, save_learning_curve
+from trainer.results import RunFolder
+from trainer.training import Counters, build_stages, open_player, resume, train
+from trainer.unity import can_be_launched, is_corridor
+
+# Evaluation plays episodes that training has not seen.
+EVALUATION_SEED_OFFSET = 1_000_000
+
+
+def train_run(
+    config: RunConfig, folder: RunFolder, *, port: int, timeout_wait: int, episodes: int, resumed: bool
+) -> bool:
+    """Trains, evaluates and writes the run's summary and pictures.
+
+    Returns:
+        Whether the run took all its steps; False if a signal ended it, in which case it is not evaluated.
+
+    Raises:
+        TrainerError: The player can't be started, does not fit, or failed; what was learned until then is saved.
+    """
+    console = Console()
+    evaluated: list[Episode] | None = None
+    with open_player(config, folder, seed=config.seed, port=port, timeout_wait=timeout_wait) as (player, behavior):
+        stages = build_stages(config, player)
+        counters = resume(folder, stages) if resumed else Counters()
+        first_step = counters.env_steps
+        first_second = counters.wall_seconds
+        finished = train(config, folder, stages, counters)
+        if finished and not can_be_launched(config.env):
+            evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
+    if finished and evaluated is None:
+        with _evaluation_player(config, folder, port, timeout_wait) as (player, _):
+            evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
+
+    seconds = counters.wall_seconds - first_second
+    folder.write_summary(
+        {
+            "run_id": config.run_id,
+            "env": config.env,
+            "preset": config.preset,
+            "algo": config.algo,
+            "seed": config.seed,
+            "c": config.curiosity.c,
+            "penalty": config.penalty,
+            "env_steps": counters.env_steps,
+            "episodes": counters.episodes,
+            "wall_seconds": round(counters.wall_seconds, 3),
+            "steps_per_second": round((counters.env_steps - first_step) / seconds, 1) if seconds else None,
+            "steps_to_50_success": counters.steps_to_50_success,
+            "steps_to_90_success": counters.steps_to_90_success,
+            "evaluation": summarise(evaluated) if evaluated else None,
+        }
+    )
+    title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
+    save_learning_curve(folder.read_progress(), title, folder.learning_curve)
+    if evaluated is None:
+        console.print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.", highlight=False)
+    else:
+        _report(console, folder, evaluated, title, behavior)
+    return finished
+
+
+def evaluate_run(config: RunConfig, folder: RunFolder, *, port: int, timeout_wait: int, episodes: int) -> None:
+    """Evaluates a run's newest checkpoint on the episodes that its own evaluation played.
+
+    Raises:
+        TrainerError: There is no checkpoint, it does not fit, or the player failed.
+    """
+    with _evaluation_player(config, folder, port, timeout_wait) as (player, behavior):
+        stages = build_stages(config, player)
+        resume(folder, stages)
+        evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
+    title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
+    _report(Console(), folder, evaluated, title, behavior)
+
+
+def _evaluation_player(config: RunConfig, folder: RunFolder, port: int, timeout_wait: int) -> Any:
+    seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
+    return open_player(config, folder, seed=seed, port=port, timeout_wait=timeout_wait)
+
+
+def _report(console: Console, folder: RunFolder, episodes: list[Episode], title: str, behavior: str) -> None:
+    table = Table("evaluation", "", title=f"{title}, deterministic policy", title_justify="left")
+    for name, value in summarise(episodes).items():
+        table.add_row(name, "not reported" if value is None else f"{value:g}")
+    console.print(table)
+    if is_corridor(behavior):
+        shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
+        save_episode_paths(shown, title, folder.episode_paths)
+    console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
+
+
+def _relative(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

@@ -1,0 +1,301 @@
+"""A training run: player -> stages -> PPO, with progress, checkpoints and a clean stop."""
+
+import signal
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from mlagents_envs.environment import UnityEnvironment
+from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+
+from trainer.checkpoint import latest_checkpoint, load_checkpoint, save_checkpoint
+from trainer.config import RunConfig
+from trainer.curiosity import Curiosity
+from trainer.errors import TrainerError
+from trainer.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
+from trainer.progress import ProgressDisplay, Snapshot
+from trainer.results import ProgressFile, RunFolder
+from trainer.unity import only_behavior, open_environment, player_errors
+from trainer.vec_env import UnityVecEnv
+
+WINDOW = 100  # episodes that running means are over
+ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
+CHECKPOINT_STEPS = 500_000
+OBSERVATION_CLIP = 10.0
+
+
+@dataclass
+class Counters:
+    """What a run has done so far, resumed parts included.
+
+    Attributes:
+        env_steps: Agent steps.
+        episodes: Ended episodes.
+        wall_seconds: Time spent learning.
+        steps_to_50_success: Agent steps at which half of the last 100 episodes had succeeded, or None.
+        steps_to_90_success: The same for nine tenths.
+    """
+
+    env_steps: int = 0
+    episodes: int = 0
+    wall_seconds: float = 0.0
+    steps_to_50_success: int | None = None
+    steps_to_90_success: int | None = None
+
+
+@dataclass
+class Stages:
+    """The environment's stages, lowest first, and the algorithm on top."""
+
+    player: VecEnv
+    normaliser: VecNormalize
+    curiosity: Curiosity | None
+    model: PPO
+
+
+@contextmanager
+def open_player(
+    config: RunConfig, folder: RunFolder, *, seed: int, port: int, timeout_wait: int
+) -> Iterator[tuple[VecEnv, str]]:
+    """Opens the run's environment as a VecEnv, and closes it whatever happens.
+
+    Args:
+        config: The run.
+        folder: Where the player logs.
+        seed: The player's seed.
+        port: The port for a launched player.
+        timeout_wait: Seconds to wait for the player.
+
+    Yields:
+        The environments, unwrapped, and the behavior's name.
+
+    Raises:
+        TrainerError: The player can't be started, or does not fit.
+    """
+    statistics, parameters = StatsSideChannel(), EnvironmentParametersChannel()
+    parameters.set_float_parameter("failure_penalty", config.penalty)
+    environment = open_environment(
+        config.env,
+        seed=seed,
+        num_areas=config.num_areas,
+        port=port,
+        timeout_wait=timeout_wait,
+        log_folder=folder.logs,
+        side_channels=[statistics, parameters],
+    )
+    try:
+        with player_errors(folder.logs):
+            yield _as_vec_env(config, environment, statistics)
+    finally:
+        with uninterrupted():
+            environment.close()
+
+
+def _as_vec_env(
+    config: RunConfig, environment: UnityEnvironment, statistics: StatsSideChannel
+) -> tuple[VecEnv, str]:
+    if not config.through_gym:
+        vec_env = UnityVecEnv(environment, statistics)
+        return vec_env, vec_env.behavior
+    try:
+        wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
+    except UnityGymException as error:
+        raise TrainerError(str(error)) from error
+    only_behavior(environment)
+    return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)]), wrapper.name
+
+
+def build_stages(config: RunConfig, player: VecEnv) -> Stages:
+    """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment."""
+    torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
+    ppo = config.ppo
+    normaliser = VecNormalize(VecMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP, gamma=ppo.gamma)
+    top: VecEnv = normaliser
+    curiosity = None
+    if config.curiosity.c > 0:
+        top = curiosity = Curiosity(normaliser, config.curiosity, ppo.n_steps, config.seed)
+    model = PPO(
+        "MlpPolicy",
+        top,
+        n_steps=ppo.n_steps,
+        batch_size=ppo.n_steps * player.num_envs // ppo.minibatches,
+        n_epochs=ppo.epochs,
+        learning_rate=ppo.learning_rate,
+        gamma=ppo.gamma,
+        gae_lambda=ppo.gae_lambda,
+        clip_range=ppo.clip_range,
+        clip_range_vf=ppo.clip_range_vf,
+        ent_coef=ppo.ent_coef,
+        vf_coef=ppo.vf_coef,
+        max_grad_norm=ppo.max_grad_norm,
+        policy_kwargs={"net_arch": {"pi": [ppo.hidden_size] * 2, "vf": [ppo.hidden_size] * 2}},
+        stats_window_size=WINDOW,
+        seed=config.seed,
+        device="cpu",
+    )
+    return Stages(player, normaliser, curiosity, model)
+
+
+def train(config: RunConfig, folder: RunFolder, stages: Stages, counters: Counters) -> bool:
+    """Trains until ``config.steps``, a signal or an error; whatever ends it, a checkpoint is saved.
+
+    Args:
+        config: The run.
+        folder: Where its results go.
+        stages: Of ``build_stages``, with a checkpoint loaded into them if the run is resumed.
+        counters: Updated as the run goes.
+
+    Returns:
+        Whether all steps were taken; False if a signal ended it before.
+
+    Raises:
+        TrainerError: The player failed; the checkpoint is saved all the same.
+    """
+    model = stages.model
+    update_steps = config.ppo.n_steps * stages.player.num_envs
+    outputs = [ProgressFile(folder.progress, counters.env_steps), TensorBoardOutputFormat(str(folder.tensorboard))]
+    model.set_logger(Logger(str(folder.path), outputs))
+    with ProgressDisplay(config, counters.env_steps) as display, _StopSignals() as signals:
+        try:
+            model.learn(
+                max(config.steps - counters.env_steps, 0),
+                callback=_Recorder(stages, folder, counters, display, signals),
+                log_interval=max(1, ROW_STEPS // update_steps),
+                reset_num_timesteps=False,
+            )
+        finally:
+            with uninterrupted():
+                _save(folder, stages, counters)
+                model.logger.close()
+    return not signals.received
+
+
+def resume(folder: RunFolder, stages: Stages) -> Counters:
+    """Loads the newest checkpoint into freshly built stages.
+
+    Raises:
+        TrainerError: There is none, or it does not fit.
+    """
+    path = latest_checkpoint(folder.checkpoints)
+    return Counters(**load_checkpoint(path, stages.model, stages.normaliser, stages.curiosity))
+
+
+def _save(folder: RunFolder, stages: Stages, counters: Counters) -> None:
+    save_checkpoint(folder.checkpoints, asdict(counters), stages.model, stages.normaliser, stages.curiosity)
+
+
+class _Recorder(BaseCallback):
+    """Watches infos, records what Stable-Baselines3 does not, and stops learning when asked to."""
+
+    def __init__(
+        self,
+        stages: Stages,
+        folder: RunFolder,
+        counters: Counters,
+        display: ProgressDisplay,
+        signals: "_StopSignals",
+    ) -> None:
+        super().__init__()
+        self._stages = stages
+        self._folder = folder
+        self._counters = counters
+        self._display = display
+        self._signals = signals
+        self._recent: dict[str, deque[float]] = {
+            name: deque(maxlen=WINDOW) for name in ("return", "length", "success", "curiosity_return")
+        }
+        self._next_checkpoint = counters.env_steps + CHECKPOINT_STEPS
+        self._earlier_seconds = counters.wall_seconds
+        self._started = time.monotonic()
+
+    def _on_step(self) -> bool:
+        self._counters.env_steps = self.num_timesteps
+        self._counters.wall_seconds = self._earlier_seconds + time.monotonic() - self._started
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self._end_episode(info)
+        return not self._signals.received
+
+    def _end_episode(self, info: dict[str, Any]) -> None:
+        self._counters.episodes += 1
+        self._recent["return"].append(info["episode"]["r"])
+        self._recent["length"].append(info["episode"]["l"])
+        if "curiosity_return" in info:
+            self._recent["curiosity_return"].append(info["curiosity_return"])
+        success = self._recent["success"]
+        if "is_success" in info:
+            success.append(float(info["is_success"]))
+        if len(success) == WINDOW:
+            rate = float(np.mean(success))
+            if rate >= 0.5 and self._counters.steps_to_50_success is None:
+                self._counters.steps_to_50_success = self.num_timesteps
+            if rate >= 0.9 and self._counters.steps_to_90_success is None:
+                self._counters.steps_to_90_success = self.num_timesteps
+
+    def _on_rollout_end(self) -> None:
+        means = {name: float(np.mean(values)) for name, values in self._recent.items() if values}
+        tags = {
+            "Environment/Cumulative Reward": means.get("return"),
+            "Environment/Episode Length": means.get("length"),
+            "Policy/Extrinsic Reward": means.get("return"),
+            "Policy/Curiosity Reward": means.get("curiosity_return"),
+        }
+        intrinsic = None
+        if self._stages.curiosity is not None:
+            metrics = self._stages.curiosity.metrics
+            tags["Losses/Curiosity Forward Loss"] = metrics["forward_loss"]
+            tags["Losses/Curiosity Inverse Loss"] = metrics["inverse_loss"]
+            tags["rollout/intrinsic_reward"] = intrinsic = metrics["reward"]
+        self.logger.record("rollout/episodes", self._counters.episodes)
+        for tag, value in tags.items():
+            if value is not None:
+                self.logger.record(tag, value)
+        self._display.update(
+            Snapshot(self.num_timesteps, means.get("return"), means.get("success"), means.get("length"), intrinsic)
+        )
+        if self.num_timesteps >= self._next_checkpoint:
+            self._next_checkpoint += CHECKPOINT_STEPS
+            _save(self._folder, self._stages, self._counters)
+
+
+class _StopSignals:
+    """The first SIGINT or SIGTERM asks for a clean stop; a second one interrupts at once."""
+
+    def __init__(self) -> None:
+        self.received = False
+        self._former: dict[int, Any] = {}
+
+    def __enter__(self) -> "_StopSignals":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._former[number] = signal.signal(number, self._receive)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.received:
+            raise KeyboardInterrupt
+        self.received = True
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Keeps an impatient Ctrl-C from cutting what must be finished: saving, and closing the player."""
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)

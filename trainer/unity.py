@@ -1,0 +1,178 @@
+"""Opens any ML-Agents environment: our own player, a Unity build, the Unity editor, or a player elsewhere."""
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mlagents_envs.base_env import BehaviorSpec
+from mlagents_envs.environment import UnityEnvironment
+from mlagents_envs.exception import (
+    UnityCommunicatorStoppedException,
+    UnityException,
+    UnityTimeOutException,
+    UnityWorkerInUseException,
+)
+from mlagents_envs.side_channel.side_channel import SideChannel
+
+from trainer.communicator import ExchangeCommunicator
+from trainer.errors import TrainerError
+
+BUILTIN, EDITOR = "builtin", "editor"
+LOOPBACK = "localhost"
+
+
+class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has no type information
+    """``UnityEnvironment`` over our communicator, listening on one host.
+
+    Args:
+        file_name: The player's executable; None waits for a player that somebody else starts.
+        port: Where the player finds the trainer.
+        host: Where to listen.
+        **options: ``UnityEnvironment``'s.
+    """
+
+    def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, **options: Any) -> None:
+        self._host = host
+        try:
+            super().__init__(file_name, worker_id=0, base_port=port, no_graphics=True, **options)
+        except UnityException:
+            if hasattr(self, "_communicator"):
+                self._close(0)
+            raise
+
+    def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
+        return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
+
+
+def open_environment(
+    env: str,
+    *,
+    seed: int,
+    num_areas: int,
+    port: int,
+    timeout_wait: int,
+    log_folder: Path | None = None,
+    side_channels: list[SideChannel] | None = None,
+) -> Environment:
+    """Starts or awaits a player and shakes hands.
+
+    Args:
+        env: ``builtin``; ``editor``; a build's path; or ``HOST:PORT``, where to listen for a player.
+        seed: Sent to the player.
+        num_areas: Training areas that the player shall make.
+        port: The port for a player that is launched here (the editor's is 5004).
+        timeout_wait: Seconds to wait for the player.
+        log_folder: Where a launched player writes ``Player-0.log``.
+        side_channels: Channels to register.
+
+    Raises:
+        TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
+    """
+    file_name, host, port = _place(env, port)
+    options = {"seed": seed, "num_areas": num_areas, "timeout_wait": timeout_wait, "side_channels": side_channels}
+    if log_folder is not None:
+        log_folder.mkdir(parents=True, exist_ok=True)
+        options["log_folder"] = str(log_folder.absolute())
+    try:
+        return Environment(file_name, port, host, **options)
+    except UnityWorkerInUseException as error:
+        raise TrainerError(f"Port {port} on {host} is in use; choose another with --base-port.") from error
+    except UnityTimeOutException as error:
+        raise TrainerError(
+            f"No player dialled in on {host}:{port} within {timeout_wait} s; start one with '--mlagents-port {port}', "
+            "or give it more time with --timeout-wait."
+        ) from error
+    except UnityException as error:
+        raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder)}") from error
+
+
+def can_be_launched(env: str) -> bool:
+    """Whether the player is a program that the trainer starts itself, and so can start again."""
+    return _place(env, 0)[0] is not None
+
+
+@contextmanager
+def player_errors(log_folder: Path | None = None) -> Iterator[None]:
+    """Turns what ``mlagents_envs`` raises while a player is in use into one sentence (``TrainerError``)."""
+    try:
+        yield
+    except UnityCommunicatorStoppedException as error:
+        raise TrainerError(f"The player stopped in the middle of the run.{_log_hint(log_folder)}") from error
+    except UnityTimeOutException as error:
+        raise TrainerError(f"{_sentence(error)} The player hangs or is too slow.{_log_hint(log_folder)}") from error
+    except UnityException as error:
+        raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder)}") from error
+
+
+def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
+    """Name and spec of the environment's one behavior, which it makes known with its first agents.
+
+    Raises:
+        TrainerError: There are several, or one called Corridor that does not keep the corridor's contract.
+    """
+    if not environment.behavior_specs:
+        environment.reset()
+    specs = dict(environment.behavior_specs.items())
+    if len(specs) != 1:
+        raise TrainerError(
+            f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; "
+            "give all agents the same Behavior Name."
+        )
+    name, spec = next(iter(specs.items()))
+    if is_corridor(name):
+        _check_contract(spec)
+    return name, spec
+
+
+def is_corridor(behavior: str) -> bool:
+    """Whether a behavior claims to be the paper's corridor."""
+    return behavior.partition("?")[0] == "Corridor"
+
+
+def _check_contract(spec: BehaviorSpec) -> None:
+    shapes = [tuple(observation.shape) for observation in spec.observation_specs]
+    vector = [shape[0] for shape in shapes if len(shape) == 1]
+    if len(vector) != 1 or vector[0] < 13 or (vector[0] - 8) % 5:
+        raise TrainerError(
+            f"Behavior Corridor has observations of shapes {shapes}, but one vector of 8 + 5K floats for K opponents "
+            "(13 for one) was expected; check the player's eq. 10 and its vector observation size."
+        )
+    action = spec.action_spec
+    if action.continuous_size != 2 or action.discrete_size:
+        raise TrainerError(
+            f"Behavior Corridor has {action.continuous_size} continuous actions and {action.discrete_size} discrete "
+            "branches, but 2 continuous actions and no discrete ones were expected."
+        )
+
+
+def _place(env: str, port: int) -> tuple[str | None, str, int]:
+    """Executable (None: wait for a player), host and port to listen on."""
+    if env == BUILTIN:
+        return _builtin_player(), LOOPBACK, port
+    if env == EDITOR:
+        return None, LOOPBACK, UnityEnvironment.DEFAULT_EDITOR_PORT
+    host, colon, number = env.rpartition(":")
+    if colon and number.isdigit() and os.sep not in env:
+        return None, host, int(number)
+    return env, LOOPBACK, port
+
+
+def _builtin_player() -> str:
+    beside = Path(sys.executable).with_name("corridor-server")
+    found = str(beside) if beside.exists() else shutil.which("corridor-server")
+    if found is None:
+        raise TrainerError("The command corridor-server is not installed; run 'pip install .[trainer]'.")
+    return found
+
+
+def _sentence(error: Exception) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+def _log_hint(log_folder: Path | None) -> str:
+    return f" The player's log is {log_folder / 'Player-0.log'}." if log_folder is not None else ""
