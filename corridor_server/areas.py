@@ -10,8 +10,6 @@ from corridor_server import world
 from corridor_server.config import CorridorConfig
 from corridor_server.parameters import EpisodeParameters, Value, area_generator
 
-STATISTICS = ("Success", "Switch Triggered", "Opponent Contacts", "Wall Contacts", "Closest Approach", "Episode Length")
-
 
 @dataclass(frozen=True)
 class Agents:
@@ -27,6 +25,10 @@ class Agents:
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
 
+    def rows(self, rows: NDArray[np.intp]) -> "Agents":
+        """A copy of some of these agents."""
+        return Agents(self.ids[rows], self.observations[rows], self.rewards[rows])
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -36,13 +38,13 @@ class Batch:
         deciding: Every area's agent that asks for an action; in an area whose episode just ended, the next one's.
         ended: Agents whose episode ended, with their last observation and reward.
         interrupted: Which of ``ended`` were cut by the step limit, (n,) bool.
-        statistics: For each of ``STATISTICS``, one value for each of ``ended``, (n,) float32.
+        statistics: ``world.statistics`` of the ended episodes, (n,) each; empty if none ended.
     """
 
     deciding: Agents
     ended: Agents
     interrupted: NDArray[np.bool_]
-    statistics: dict[str, NDArray[np.float32]]
+    statistics: dict[str, world.Floats]
 
 
 class Areas:
@@ -63,9 +65,6 @@ class Areas:
         count = len(numbers)
         self.state = world.State.empty(count, config.num_opponents)
         self._ids = np.zeros(count, dtype=np.int32)
-        self._opponent_contacts = np.zeros(count, dtype=np.int64)
-        self._wall_contacts = np.zeros(count, dtype=np.int64)
-        self._closest_approach = np.zeros(count)
         # Areas whose running episode began by itself at the last one's end, and has not moved yet.
         self._begun_by_end = np.zeros(count, dtype=np.bool_)
 
@@ -85,50 +84,35 @@ class Areas:
         """
         self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
-        return self._batch(np.zeros(0, dtype=np.intp), None, np.zeros(len(self)))
+        nobody = np.zeros(0, dtype=np.intp)
+        observations = world.observation(self.parameters.columns, self.state)
+        deciding = Agents(self._ids.copy(), observations, np.zeros(len(self), dtype=np.float32))
+        return Batch(deciding, deciding.rows(nobody), np.zeros(0, dtype=np.bool_), {})
 
     def step(self, actions: NDArray[np.float32]) -> Batch:
         """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends."""
-        self.state, outcome = world.step(self.parameters.columns, self.state, actions.astype(np.float64))
-        self._opponent_contacts += outcome.opponent_contact
-        self._wall_contacts += outcome.wall_contact
-        np.minimum(self._closest_approach, outcome.nearest_opponent, out=self._closest_approach)
-        self._begun_by_end[:] = outcome.success | outcome.failed | outcome.truncated
-        return self._batch(np.flatnonzero(self._begun_by_end), outcome, outcome.reward)
-
-    def _batch(self, ended: NDArray[np.intp], outcome: world.Outcome | None, rewards: world.Floats) -> Batch:
-        observations = world.observation(self.parameters.columns, self.state)
-        rewards = rewards.astype(np.float32)
-        last = Agents(self._ids[ended], observations[ended], rewards[ended])
-        interrupted = np.zeros(0, dtype=np.bool_) if outcome is None else outcome.truncated[ended]
-        statistics: dict[str, NDArray[np.float32]] = {}
-        if outcome is not None and len(ended):
-            values = (
-                outcome.success,
-                self.state.switch_on,
-                self._opponent_contacts,
-                self._wall_contacts,
-                self._closest_approach,
-                self.state.episode_steps,
-            )
-            statistics = {
-                name: value[ended].astype(np.float32) for name, value in zip(STATISTICS, values, strict=True)
-            }
-            self._begin(ended)
-            observations[ended] = world.observation(self.parameters.columns, self.state)[ended]
-            rewards[ended] = 0.0
-        return Batch(Agents(self._ids.copy(), observations, rewards), last, interrupted, statistics)
+        p = self.parameters.columns
+        self.state, outcome = world.step(p, self.state, actions.astype(np.float64))
+        agents = Agents(self._ids.copy(), world.observation(p, self.state), outcome.reward.astype(np.float32))
+        self._begun_by_end = outcome.ended
+        rows = np.flatnonzero(outcome.ended)
+        ended = agents.rows(rows)
+        if not len(rows):
+            return Batch(agents, ended, outcome.truncated[rows], {})
+        statistics = {name: values[rows] for name, values in world.statistics(self.state, outcome).items()}
+        self._begin(rows)
+        agents.ids[rows] = self._ids[rows]
+        agents.observations[rows] = world.observation(p, self.state)[rows]
+        agents.rewards[rows] = 0.0
+        return Batch(agents, ended, outcome.truncated[rows], statistics)
 
     def _begin(self, areas: NDArray[np.intp]) -> None:
         if not len(areas):
             return
         for area in areas:
             self.parameters.draw(int(area))
-        columns = {name: column[areas] for name, column in self.parameters.columns.items()}
-        begun = world.initial(columns, self.config.num_opponents, [self._generators[area] for area in areas])
+        p = {name: column[areas] for name, column in self.parameters.columns.items()}
+        begun = world.initial(p, self.config.num_opponents, [self._generators[area] for area in areas])
         self.state = self.state.merged(areas, begun)
         self._ids[areas] = np.arange(self._next_id, self._next_id + len(areas))
         self._next_id += len(areas)
-        self._opponent_contacts[areas] = 0
-        self._wall_contacts[areas] = 0
-        self._closest_approach[areas] = world.nearest_opponent(columns, begun)

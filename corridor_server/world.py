@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Counts = NDArray[np.int64]
 Parameters = Mapping[str, Floats]
 
 ACTION_SIZE = 2
@@ -34,6 +35,9 @@ class State:
         opponent_target: Hidden from the agent (eq. 8), (A, K, 2) m.
         episode_return: Accumulated reward of the running episode, without the failure penalty, (A,).
         episode_steps: Decisions since the episode began, (A,).
+        opponent_contacts: Decisions of this episode that ended in touch with an opponent, (A,).
+        wall_contacts: Decisions of this episode that pushed the agent into a wall, (A,).
+        closest_approach: Least d_opp of this episode, (A,) half-lengths.
     """
 
     position: Floats
@@ -44,14 +48,29 @@ class State:
     opponent_velocity: Floats
     opponent_target: Floats
     episode_return: Floats
-    episode_steps: NDArray[np.int64]
+    episode_steps: Counts
+    opponent_contacts: Counts
+    wall_contacts: Counts
+    closest_approach: Floats
 
     @classmethod
     def empty(cls, areas: int, opponents: int) -> "State":
         """A state of zeros, to merge episodes into."""
-        pair, pairs = np.zeros((areas, 2)), np.zeros((areas, opponents, 2))
-        steps = np.zeros(areas, dtype=np.int64)
-        return cls(pair, pair, pair, np.zeros(areas, dtype=np.bool_), pairs, pairs, pairs, np.zeros(areas), steps)
+        one, count, pair, pairs = np.zeros(areas), np.zeros(areas, np.int64), (areas, 2), (areas, opponents, 2)
+        return cls(
+            position=np.zeros(pair),
+            velocity=np.zeros(pair),
+            goal=np.zeros(pair),
+            switch_on=np.zeros(areas, np.bool_),
+            opponent_position=np.zeros(pairs),
+            opponent_velocity=np.zeros(pairs),
+            opponent_target=np.zeros(pairs),
+            episode_return=one,
+            episode_steps=count,
+            opponent_contacts=count,
+            wall_contacts=count,
+            closest_approach=one,
+        )
 
     def merged(self, areas: NDArray[np.intp], other: "State") -> "State":
         """This state with the given areas' rows taken, in order, from ``other``."""
@@ -71,18 +90,17 @@ class Outcome:
         success: The goal was reached with the switch on (terminated).
         failed: Accumulated reward reached ``failure_return`` (terminated).
         truncated: The step limit, where one is set, cut the episode.
-        wall_contact: The step pushed the agent into a wall.
-        opponent_contact: The agent's surface touches an opponent's.
-        nearest_opponent: d_opp, centre to centre in half-lengths.
     """
 
     reward: Floats
     success: Bools
     failed: Bools
     truncated: Bools
-    wall_contact: Bools
-    opponent_contact: Bools
-    nearest_opponent: Floats
+
+    @property
+    def ended(self) -> Bools:
+        """Where the episode is over, for whatever reason."""
+        return self.success | self.failed | self.truncated
 
 
 def initial(p: Parameters, num_opponents: int, generators: Sequence[np.random.Generator]) -> State:
@@ -127,7 +145,10 @@ def initial(p: Parameters, num_opponents: int, generators: Sequence[np.random.Ge
         opponent_velocity=_toward(each["opponent_speed"], opponent_target - opponent_position)[0],
         opponent_target=opponent_target,
         episode_return=np.zeros(areas),
-        episode_steps=np.zeros(areas, dtype=np.int64),
+        episode_steps=np.zeros(areas, np.int64),
+        opponent_contacts=np.zeros(areas, np.int64),
+        wall_contacts=np.zeros(areas, np.int64),
+        closest_approach=_nearest(position, opponent_position) / p["half_length"],
     )
 
 
@@ -175,15 +196,15 @@ def step(p: Parameters, state: State, action: Floats) -> tuple[State, Outcome]:
         opponent_target=state.opponent_target,
         episode_return=episode_return,
         episode_steps=episode_steps,
+        opponent_contacts=state.opponent_contacts + opponent_contact,
+        wall_contacts=state.wall_contacts + wall_contact,
+        closest_approach=np.minimum(state.closest_approach, d_opp),
     )
     outcome = Outcome(
         reward=reward - np.where(failed, p["failure_penalty"], 0.0),
         success=success,
         failed=failed,
         truncated=truncated,
-        wall_contact=wall_contact,
-        opponent_contact=opponent_contact,
-        nearest_opponent=d_opp,
     )
     return moved, outcome
 
@@ -209,9 +230,16 @@ def observation(p: Parameters, state: State) -> NDArray[np.float32]:
     return result
 
 
-def nearest_opponent(p: Parameters, state: State) -> Floats:
-    """d_opp of the nearest opponent, centre to centre in half-lengths, (A,)."""
-    return _nearest(state.position, state.opponent_position) / p["half_length"]
+def statistics(state: State, outcome: Outcome) -> dict[str, Floats]:
+    """What is reported of an episode when it ends, each (A,), for the areas in which it does."""
+    return {
+        "Success": outcome.success.astype(np.float64),
+        "Switch Triggered": state.switch_on.astype(np.float64),
+        "Opponent Contacts": state.opponent_contacts.astype(np.float64),
+        "Wall Contacts": state.wall_contacts.astype(np.float64),
+        "Closest Approach": state.closest_approach,
+        "Episode Length": state.episode_steps.astype(np.float64),
+    }
 
 
 def _reward(p: Parameters, success: Bools, wall_contact: Bools, opponent_contact: Bools, d_opp: Floats) -> Floats:
