@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -55,7 +55,7 @@ class ExchangeCommunicator(Communicator):
     def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
         _check_port(worker_id, host, port)
         server = grpc.server(
-            ThreadPoolExecutor(max_workers=HANDLERS, thread_name_prefix="exchange"),
+            _DaemonPool(HANDLERS),
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
         )
         exchange = grpc.unary_unary_rpc_method_handler(
@@ -84,14 +84,7 @@ class ExchangeCommunicator(Communicator):
         if not context.add_callback(ended):
             self._received.put(None)
         self._received.put(request)
-        while True:
-            try:
-                reply = self._replies.get(timeout=POLL_SECONDS)
-                break
-            except Empty:
-                if not threading.main_thread().is_alive():  # a program that ends without close() must not hang
-                    reply = _stop_message()
-                    break
+        reply = self._replies.get()
         answered = True
         return reply
 
@@ -154,6 +147,36 @@ class ExchangeCommunicator(Communicator):
             raise UnityCommunicationException(
                 f"The player sent {len(data)} bytes that are not a message of the ML-Agents protocol."
             ) from error
+
+
+class _DaemonPool(Executor):
+    """Runs calls in daemon threads: Python waits at exit for a ThreadPoolExecutor's, and ours may wait for a reply."""
+
+    def __init__(self, workers: int) -> None:
+        self._calls: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._workers = workers
+        for _ in range(workers):
+            threading.Thread(target=self._work, daemon=True).start()
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+
+        def call() -> None:
+            try:
+                future.set_result(function(*args, **options))
+            except Exception as error:
+                future.set_exception(error)
+
+        self._calls.put(call)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        for _ in range(self._workers):
+            self._calls.put(None)
+
+    def _work(self) -> None:
+        while (call := self._calls.get()) is not None:
+            call()
 
 
 def _stop_message() -> Any:

@@ -60,7 +60,7 @@ class UnityVecEnv(VecEnv):
         self._slots = {agent: slot for slot, agent in enumerate(decision.agent_id.tolist())}
         self._agent_ids = decision.agent_id
         self._in_order = np.arange(self.num_envs)
-        self._observations = _vector(decision)
+        self._observations = _vector(decision).copy()
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._take_statistics()
         return self._observations.copy()

@@ -1,0 +1,85 @@
+"""A scripted ML-Agents environment: gives out prepared steps and keeps the actions that it gets."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mlagents_envs.base_env import (
+    ActionSpec,
+    ActionTuple,
+    BehaviorSpec,
+    DecisionSteps,
+    DimensionProperty,
+    ObservationSpec,
+    ObservationType,
+    TerminalSteps,
+)
+
+BEHAVIOR = "Scripted?team=0"
+
+
+def spec(shapes: list[tuple[int, ...]], actions: ActionSpec) -> BehaviorSpec:
+    observations = [
+        ObservationSpec(shape, (DimensionProperty.NONE,) * len(shape), ObservationType.DEFAULT, f"observation {i}")
+        for i, shape in enumerate(shapes)
+    ]
+    return BehaviorSpec(observations, actions)
+
+
+@dataclass
+class Scripted:
+    """Each message is ({agent id: reward} that decide, {agent id: (reward, interrupted)} that end).
+
+    An agent's observations are filled with its id, plus a hundredth for each message.
+    """
+
+    behavior: BehaviorSpec
+    messages: list[tuple[dict[int, float], dict[int, tuple[float, bool]]]]
+    sent: list[ActionTuple] = field(default_factory=list)
+    resets: int = 0
+    closed: bool = False
+    at: int = -1
+
+    @property
+    def behavior_specs(self) -> dict[str, BehaviorSpec]:
+        return {BEHAVIOR: self.behavior} if self.at >= 0 else {}
+
+    def reset(self) -> None:
+        self.resets += 1
+        self.at += 1
+
+    def step(self) -> None:
+        self.at += 1
+
+    def set_actions(self, name: str, action: ActionTuple) -> None:
+        assert name == BEHAVIOR
+        self.sent.append(action)
+
+    def get_steps(self, name: str) -> tuple[DecisionSteps, TerminalSteps]:
+        decide, end = self.messages[self.at]
+        zeros, mask = [0] * len(decide), None
+        decision = DecisionSteps(
+            self._observe(list(decide)), _floats(decide.values()), _ids(decide), mask, zeros, np.zeros(len(decide))
+        )
+        rewards = _floats(reward for reward, _ in end.values())
+        interrupted = np.array([cut for _, cut in end.values()], dtype=bool)
+        none = np.zeros(len(end))
+        return decision, TerminalSteps(self._observe(list(end)), rewards, interrupted, _ids(end), [0] * len(end), none)
+
+    def close(self) -> None:
+        self.closed = True
+
+    def _observe(self, ids: list[int]) -> list[Any]:
+        values = np.array([agent + 0.01 * self.at for agent in ids], dtype=np.float32)
+        return [
+            np.broadcast_to(values.reshape(-1, *(1 for _ in observation.shape)), (len(ids), *observation.shape))
+            for observation in self.behavior.observation_specs
+        ]
+
+
+def _floats(values: Any) -> Any:
+    return np.array(list(values), dtype=np.float32)
+
+
+def _ids(agents: Any) -> Any:
+    return np.array(list(agents), dtype=np.int32)
