@@ -10,11 +10,7 @@ from typing import Any
 Range = tuple[float, float]
 
 
-def _number(default: float, unit: str, text: str, low: float, high: float) -> Any:
-    return field(default=default, metadata={"unit": unit, "text": text, "range": (low, high)})
-
-
-def _range(default: Range, unit: str, text: str, low: float, high: float) -> Any:
+def _parameter(default: float | Range, unit: str, text: str, low: float, high: float) -> Any:
     return field(default=default, metadata={"unit": unit, "text": text, "range": (low, high)})
 
 
@@ -29,40 +25,40 @@ class CorridorConfig:
         ValueError: A value is of the wrong type or out of its range; the message names field, value and range.
     """
 
-    half_length: float = _number(10.0, "m", "half the corridor's length, along x", 1.0, 1000.0)
-    half_width: float = _number(5.0, "m", "half the corridor's width, along z", 1.0, 1000.0)
-    agent_radius: float = _number(0.5, "m", "radius of the learning agent", 0.01, 10.0)
-    opponent_radius: float = _number(0.5, "m", "radius of each opponent", 0.01, 10.0)
-    fixed_timestep: float = _number(0.02, "s", "one physics step, as Unity's FixedUpdate", 0.001, 1.0)
-    decision_period: int = _number(5, "steps", "physics steps between two decisions", 1, 100)
-    agent_speed: float = _number(2.0, "m/s", "the agent's speed along an axis at action 1", 0.0, 100.0)
-    agent_time_constant: float = _number(
+    half_length: float = _parameter(10.0, "m", "half the corridor's length, along x", 1.0, 1000.0)
+    half_width: float = _parameter(5.0, "m", "half the corridor's width, along z", 1.0, 1000.0)
+    agent_radius: float = _parameter(0.5, "m", "radius of the learning agent", 0.01, 10.0)
+    opponent_radius: float = _parameter(0.5, "m", "radius of each opponent", 0.01, 10.0)
+    fixed_timestep: float = _parameter(0.02, "s", "one physics step, as Unity's FixedUpdate", 0.001, 1.0)
+    decision_period: int = _parameter(5, "steps", "physics steps between two decisions", 1, 100)
+    agent_speed: float = _parameter(2.0, "m/s", "the agent's speed along an axis at action 1", 0.0, 100.0)
+    agent_time_constant: float = _parameter(
         0.5, "s", "lag of velocity behind action; 0 means that velocity follows at once", 0.0, 100.0
     )
-    opponent_speed: float = _number(1.0, "m/s", "the opponents' speed, straight to their targets", 0.0, 100.0)
-    agent_spawn_x: Range = _range((-4.0, -2.0), "m", "where the agent starts", -1000.0, 1000.0)
-    opponent_spawn_x: Range = _range((7.0, 8.5), "m", "where the opponents start", -1000.0, 1000.0)
-    spawn_z: float = _number(3.0, "m", "agent and opponents start within +- this", 0.0, 1000.0)
-    goal_x: float = _number(9.0, "m", "the agent's target", -1000.0, 1000.0)
-    goal_z: float = _number(3.0, "m", "the agent's target lies within +- this", 0.0, 1000.0)
-    goal_radius: float = _number(0.75, "m", "reached when the agent's centre is this near", 0.0, 1000.0)
-    opponent_target_x: float = _number(-9.0, "m", "the opponents' targets", -1000.0, 1000.0)
-    opponent_target_z: float = _number(2.5, "m", "the opponents' targets lie within +- this", 0.0, 1000.0)
-    switch_x: float = _number(0.0, "m", "the switch", -1000.0, 1000.0)
-    switch_z: float = _number(3.0, "m", "the switch", -1000.0, 1000.0)
-    switch_radius: float = _number(1.5, "m", "the switch turns on when the agent's centre is this near", 0.0, 1000.0)
-    near_distance: float = _number(
+    opponent_speed: float = _parameter(1.0, "m/s", "the opponents' speed, straight to their targets", 0.0, 100.0)
+    agent_spawn_x: Range = _parameter((-4.0, -2.0), "m", "where the agent starts", -1000.0, 1000.0)
+    opponent_spawn_x: Range = _parameter((7.0, 8.5), "m", "where the opponents start", -1000.0, 1000.0)
+    spawn_z: float = _parameter(3.0, "m", "agent and opponents start within +- this", 0.0, 1000.0)
+    goal_x: float = _parameter(9.0, "m", "the agent's target", -1000.0, 1000.0)
+    goal_z: float = _parameter(3.0, "m", "the agent's target lies within +- this", 0.0, 1000.0)
+    goal_radius: float = _parameter(0.75, "m", "reached when the agent's centre is this near", 0.0, 1000.0)
+    opponent_target_x: float = _parameter(-9.0, "m", "the opponents' targets", -1000.0, 1000.0)
+    opponent_target_z: float = _parameter(2.5, "m", "the opponents' targets lie within +- this", 0.0, 1000.0)
+    switch_x: float = _parameter(0.0, "m", "the switch", -1000.0, 1000.0)
+    switch_z: float = _parameter(3.0, "m", "the switch", -1000.0, 1000.0)
+    switch_radius: float = _parameter(1.5, "m", "the switch turns on when the agent's centre is this near", 0.0, 1000.0)
+    near_distance: float = _parameter(
         0.2, "half-lengths", "eq. 9's near zone around an opponent, centre to centre", 0.0, 10.0
     )
-    goal_reward: float = _number(1.0, "", "eq. 9: d_goal = 0, with the switch on", -1000.0, 1000.0)
-    wall_penalty: float = _number(0.1, "", "eq. 9: d_wall = 0 (subtracted)", 0.0, 1000.0)
-    contact_penalty: float = _number(0.25, "", "eq. 9: d_opp = 0 (subtracted)", 0.0, 1000.0)
-    near_penalty: float = _number(0.1, "", "eq. 9: the constant part in the near zone (subtracted)", 0.0, 1000.0)
-    step_penalty: float = _number(0.001, "", "eq. 9: every other step (subtracted)", 0.0, 1000.0)
-    failure_return: float = _number(-1.0, "", "the episode fails at this accumulated reward", -1e6, 0.0)
-    failure_penalty: float = _number(1.0, "", "subtracted when it fails; 0 in case study B", 0.0, 1000.0)
-    max_episode_steps: int = _number(0, "decisions", "step limit that truncates an episode; 0 means none", 0, 10**9)
-    num_opponents: int = _number(1, "", "K of eq. 8; the reward takes the nearest", 1, 64)
+    goal_reward: float = _parameter(1.0, "", "eq. 9: d_goal = 0, with the switch on", -1000.0, 1000.0)
+    wall_penalty: float = _parameter(0.1, "", "eq. 9: d_wall = 0 (subtracted)", 0.0, 1000.0)
+    contact_penalty: float = _parameter(0.25, "", "eq. 9: d_opp = 0 (subtracted)", 0.0, 1000.0)
+    near_penalty: float = _parameter(0.1, "", "eq. 9: the constant part in the near zone (subtracted)", 0.0, 1000.0)
+    step_penalty: float = _parameter(0.001, "", "eq. 9: every other step (subtracted)", 0.0, 1000.0)
+    failure_return: float = _parameter(-1.0, "", "the episode fails at this accumulated reward", -1e6, 0.0)
+    failure_penalty: float = _parameter(1.0, "", "subtracted when it fails; 0 in case study B", 0.0, 1000.0)
+    max_episode_steps: int = _parameter(0, "decisions", "step limit that truncates an episode; 0 means none", 0, 10**9)
+    num_opponents: int = _parameter(1, "", "K of eq. 8; the reward takes the nearest", 1, 64)
 
     def __post_init__(self) -> None:
         for parameter in fields(self):
@@ -186,7 +182,8 @@ def parameter_table() -> str:
     """The corridor's parameters as a Markdown table (``docs/parameters.md``)."""
     rows = ["| name | default | unit | range | what it is |", "|---|---|---|---|---|"]
     for parameter in fields(CorridorConfig):
-        default = list(parameter.default) if parameter.type is Range else parameter.default
+        default = getattr(CorridorConfig(), parameter.name)
+        default = list(default) if isinstance(default, tuple) else default
         low, high = parameter.metadata["range"]
         unit = parameter.metadata["unit"] or "-"
         rows.append(f"| `{parameter.name}` | {default} | {unit} | {low:g} to {high:g} | {parameter.metadata['text']} |")

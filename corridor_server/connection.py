@@ -56,7 +56,8 @@ class Connection:
             reply = self._exchange(message, timeout=timeout)
         except grpc.RpcError as error:
             raise ConnectionFailed(
-                f"The connection to the trainer at {self._address} broke ({error.code().name}); it stopped or was killed."
+                f"The connection to the trainer at {self._address} broke ({error.code().name}); "
+                "it stopped or was killed."
             ) from error
         try:
             return UnityMessageProto.FromString(reply)

@@ -68,9 +68,9 @@ def top_view(p: Parameters, state: State, area: int, width: int = 480, height: i
 
 def _grid(half_x: float, half_z: float, width: int, height: int) -> _Grid:
     pixel = max(2 * half_x / width, 2 * half_z / height)
-    x = (np.arange(width) + 0.5 - width / 2) * pixel
-    z = (height / 2 - np.arange(height) - 0.5) * pixel
-    return _Grid(x[None, :], z[:, None], pixel)
+    x = np.arange(width, dtype=np.float64) + 0.5 - width / 2
+    z = height / 2 - np.arange(height, dtype=np.float64) - 0.5
+    return _Grid(pixel * x[None, :], pixel * z[:, None], pixel)
 
 
 def _disc(grid: _Grid, centre: Floats | tuple[float, float], radius: float) -> Floats:

@@ -16,8 +16,9 @@ Observation = NDArray[np.float32]
 
 
 class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """The motion-planning task of "Curiosity Driven Deep Reinforcement Learning for Motion Planning in Multi-agent
-    Environment".
+    """The paper's motion-planning task: two agents in a corridor, a hidden switch, a target.
+
+    From "Curiosity Driven Deep Reinforcement Learning for Motion Planning in Multi-agent Environment".
 
     ## Description
 
@@ -147,7 +148,7 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         reward = float(np.float32(outcome.reward[0]))
         return world.observation(self._p, self._state)[0], reward, terminated, truncated, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # Gymnasium's return type is a type variable
+    def render(self) -> NDArray[np.uint8] | None:
         """Draws the corridor from above, (264, 480, 3) uint8; None without a render mode."""
         if self.render_mode is None or self._state is None:
             return None

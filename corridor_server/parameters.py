@@ -8,7 +8,6 @@ import numpy as np
 from corridor_server.config import CorridorConfig, settable_parameters
 from corridor_server.world import Floats
 
-
 SETTABLE = settable_parameters()
 
 

@@ -73,7 +73,9 @@ def read_environment_parameter(payload: bytes) -> tuple[str, Value]:
     if kind == FLOAT:
         return name, reader.float32()
     if kind != SAMPLER:
-        raise SideChannelError(f"Environment parameter {name!r} has type {kind}; 0 (float) or 1 (sampler) was expected.")
+        raise SideChannelError(
+            f"Environment parameter {name!r} has type {kind}; 0 (float) or 1 (sampler) was expected."
+        )
     seed, sampler = reader.int32(), reader.int32()
     if sampler == UNIFORM:
         return name, Uniform(seed, reader.float32(), reader.float32())
@@ -149,6 +151,7 @@ class _Reader:
         count = self.int32()
         if not 0 <= count * item_size <= len(self._payload) - self._offset:
             raise SideChannelError(
-                f"A side-channel message announces {count} items, but {len(self._payload) - self._offset} bytes are left."
+                f"A side-channel message announces {count} items, but "
+                f"{len(self._payload) - self._offset} bytes are left."
             )
         return count

@@ -270,7 +270,8 @@ def _move_agent(p: Parameters, state: State, action: Floats) -> tuple[Floats, Fl
     position = state.position + wanted * seconds + excess * (lag * (1.0 - decay))
     limit = _centre_limits(p, p["agent_radius"])
     beyond = np.abs(position) > limit
-    return np.clip(position, -limit, limit), np.where(beyond, 0.0, velocity), beyond.any(axis=1)
+    stopped: Floats = np.where(beyond, 0.0, velocity)
+    return np.clip(position, -limit, limit), stopped, beyond[:, 0] | beyond[:, 1]
 
 
 def _toward(speed: Floats, offset: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,9 @@ CONTINUOUS = ActionSpec.create_continuous(2)
 ONE: tuple[dict[int, float], dict[int, tuple[float, bool]]] = ({1: 0.0}, {})
 
 
-def wrap(*messages: object, shapes=((3,),), actions=CONTINUOUS, **options: object) -> tuple[UnityToGymWrapper, Scripted]:
+def wrap(
+    *messages: object, shapes=((3,),), actions=CONTINUOUS, **options: object
+) -> tuple[UnityToGymWrapper, Scripted]:
     environment = Scripted(spec(list(shapes), actions), [ONE, *messages])
     return UnityToGymWrapper(environment, **options), environment
 

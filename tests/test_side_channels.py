@@ -89,7 +89,9 @@ def test_any_payload_is_a_parameter_or_refused(payload):
 
 def test_a_buffer_that_is_cut_names_the_channel():
     buffer = side_channels.message(side_channels.ENVIRONMENT_PARAMETERS, b"12345678")[:-3]
-    with pytest.raises(SideChannelError, match="534c891e-810f-11ea-a9d0-822485860400 announces 8 bytes, but 5 are left"):
+    with pytest.raises(
+        SideChannelError, match="534c891e-810f-11ea-a9d0-822485860400 announces 8 bytes, but 5 are left"
+    ):
         list(side_channels.split(buffer))
 
 

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from trainer.curiosity import Curiosity
@@ -24,9 +24,9 @@ def save_checkpoint(
         "policy": model.policy.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
         "normaliser": {
-            "mean": torch.from_numpy(np.asarray(normaliser.obs_rms.mean)),
-            "var": torch.from_numpy(np.asarray(normaliser.obs_rms.var)),
-            "count": float(normaliser.obs_rms.count),
+            "mean": torch.from_numpy(_statistics(normaliser).mean),
+            "var": torch.from_numpy(_statistics(normaliser).var),
+            "count": float(_statistics(normaliser).count),
         },
     }
     if curiosity is not None:
@@ -57,9 +57,7 @@ def latest_checkpoint(folder: Path) -> Path:
     return found[-1]
 
 
-def load_checkpoint(
-    path: Path, model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None
-) -> dict[str, Any]:
+def load_checkpoint(path: Path, model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None) -> dict[str, Any]:
     """Puts a checkpoint's state into a run built with the same settings. Reads tensors only, never code.
 
     Returns:
@@ -72,9 +70,11 @@ def load_checkpoint(
         state = torch.load(path, weights_only=True)
     except Exception as error:  # torch raises many kinds for a broken file
         raise TrainerError(f"The checkpoint {path} can't be read; use an older one or train again.") from error
-    size, expected = len(state["normaliser"]["mean"]), len(normaliser.obs_rms.mean)
+    size, expected = len(state["normaliser"]["mean"]), len(_statistics(normaliser).mean)
     if size != expected:
-        raise TrainerError(f"The checkpoint {path} is for observations of {size} floats, but the player's have {expected}.")
+        raise TrainerError(
+            f"The checkpoint {path} is for observations of {size} floats, but the player's have {expected}."
+        )
     try:
         model.policy.load_state_dict(state["policy"])
         model.policy.optimizer.load_state_dict(state["optimizer"])
@@ -82,13 +82,21 @@ def load_checkpoint(
             curiosity.module.load_state_dict(state["curiosity"])
             curiosity.optimizer.load_state_dict(state["curiosity_optimizer"])
     except (KeyError, RuntimeError, ValueError) as error:
-        raise TrainerError(f"The checkpoint {path} is for other settings: {' '.join(str(error).split())[:300]}") from error
+        raise TrainerError(
+            f"The checkpoint {path} is for other settings: {' '.join(str(error).split())[:300]}"
+        ) from error
     counters: dict[str, Any] = state["counters"]
     model.num_timesteps = counters["env_steps"]
-    normaliser.obs_rms.mean = state["normaliser"]["mean"].numpy()
-    normaliser.obs_rms.var = state["normaliser"]["var"].numpy()
-    normaliser.obs_rms.count = state["normaliser"]["count"]
+    statistics = _statistics(normaliser)
+    statistics.mean = state["normaliser"]["mean"].numpy()
+    statistics.var = state["normaliser"]["var"].numpy()
+    statistics.count = state["normaliser"]["count"]
     return counters
+
+
+def _statistics(normaliser: VecNormalize) -> RunningMeanStd:
+    assert isinstance(normaliser.obs_rms, RunningMeanStd)  # one vector observation
+    return normaliser.obs_rms
 
 
 def _checkpoints(folder: Path) -> list[Path]:

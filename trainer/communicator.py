@@ -30,7 +30,7 @@ MAX_MESSAGE_BYTES = 256 * 2**20
 PollCallback = Callable[[], None]
 
 
-class ExchangeCommunicator(Communicator):
+class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs has no type information
     """Serves one player on ``host:(base_port + worker_id)``.
 
     Args:
@@ -55,7 +55,7 @@ class ExchangeCommunicator(Communicator):
     def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
         _check_port(worker_id, host, port)
         server = grpc.server(
-            _DaemonPool(HANDLERS),
+            _DaemonPool(HANDLERS),  # type: ignore[arg-type]  # gRPC only submits to it
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
         )
         exchange = grpc.unary_unary_rpc_method_handler(
@@ -194,7 +194,7 @@ def _wait_for_exit(poll_callback: PollCallback | None) -> None:
 
 
 def _check_port(worker_id: int, host: str, port: int) -> None:
-    """gRPC is content when one of a host's addresses is free; a player may dial any of them."""
+    """GRPC is content when one of a host's addresses is free; a player may dial any of them."""
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as error:

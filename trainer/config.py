@@ -129,6 +129,9 @@ PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=64, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area, and the defaults of the Stable Baselines release that the paper used.
     "paper": Preset(
-        num_areas=1, through_gym=True, ppo=PPOConfig(n_steps=128, gamma=0.99, ent_coef=0.01), curiosity=CuriosityConfig()
+        num_areas=1,
+        through_gym=True,
+        ppo=PPOConfig(n_steps=128, gamma=0.99, ent_coef=0.01),
+        curiosity=CuriosityConfig(),
     ),
 }

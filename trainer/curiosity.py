@@ -74,7 +74,8 @@ class IntrinsicCuriosityModule(nn.Module):
         if self.num_choices:
             action = functional.one_hot(action.long().flatten(), self.num_choices).float()
         predicted = self.forward_model(torch.cat([phi, action], dim=1))
-        return 0.5 * (predicted - next_phi).square().sum(dim=1)
+        error: Tensor = 0.5 * (predicted - next_phi).square().sum(dim=1)
+        return error
 
 
 class Curiosity(VecEnvWrapper):
@@ -160,7 +161,7 @@ class Curiosity(VecEnvWrapper):
         for chosen in order.chunk(self.config.minibatches):
             forward_error, inverse_error = self.module.errors(*(column[chosen] for column in columns))
             self.optimizer.zero_grad()
-            self.module.loss(forward_error, inverse_error).backward()
+            self.module.loss(forward_error, inverse_error).backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
             losses.append((forward_error.mean().item(), inverse_error.mean().item()))
         forward_loss, inverse_loss = np.mean(losses, axis=0)

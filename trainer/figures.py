@@ -93,9 +93,7 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     _save(figure, path)
 
 
-def _path(
-    axes: Axes, points: NDArray[np.float64], colour: str, label: str | None, radius: float, every: int
-) -> None:
+def _path(axes: Axes, points: NDArray[np.float64], colour: str, label: str | None, radius: float, every: int) -> None:
     axes.plot(*points.T, color=colour, linewidth=1.6, label=label)
     axes.plot(*points[::every].T, color=colour, marker="o", markersize=3, linestyle="none")
     axes.add_patch(_disc(tuple(points[0]), radius, colour, 0.25))

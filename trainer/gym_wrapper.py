@@ -136,7 +136,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         truncated = bool(terminal.interrupted[0])
         return self._observation(terminal), float(terminal.reward[0]), not truncated, truncated, {"step": terminal}
 
-    def render(self) -> NDArray[Any] | None:  # type: ignore[override]  # Gymnasium's return type is not exported
+    def render(self) -> NDArray[Any] | None:
         """The latest first visual observation, as the agent got it; None without one. Draws no new frame."""
         return self._image
 
@@ -190,7 +190,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         if flatten_branched:
             self._flattened = list(itertools.product(*(range(size) for size in branches)))
             return spaces.Discrete(len(self._flattened))
-        return spaces.MultiDiscrete(branches)
+        return spaces.MultiDiscrete(list(branches))
 
     @staticmethod
     def _check_agents(count: int) -> None:

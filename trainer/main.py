@@ -115,10 +115,7 @@ class Evaluate:
     results_dir: Path = Path("results")
 
 
-Command = (
-    Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-)
+Command = Annotated[Train, tyro.conf.subcommand("train")] | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

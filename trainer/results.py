@@ -16,7 +16,16 @@ from stable_baselines3.common.logger import KVWriter
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 
-PACKAGES = ("curious-corridor", "mlagents-envs", "stable-baselines3", "torch", "gymnasium", "numpy", "grpcio", "protobuf")
+PACKAGES = (
+    "curious-corridor",
+    "mlagents-envs",
+    "stable-baselines3",
+    "torch",
+    "gymnasium",
+    "numpy",
+    "grpcio",
+    "protobuf",
+)
 
 # Columns of progress.csv and the logger's tags that fill them; the last two are timing and differ between runs.
 PROGRESS_COLUMNS = {
@@ -81,7 +90,9 @@ class RunFolder:
             record = {"run": config.as_dict(), "versions": _versions(), "machine": _machine()}
             _write(folder.configuration, yaml.safe_dump(record, sort_keys=False))
         except OSError as error:
-            raise TrainerError(f"{folder.path} can't be written ({error}); choose another with --results-dir.") from error
+            raise TrainerError(
+                f"{folder.path} can't be written ({error}); choose another with --results-dir."
+            ) from error
         return folder
 
     @classmethod
@@ -118,7 +129,9 @@ class RunFolder:
 
     def _check_same_settings(self, config: RunConfig) -> None:
         if not self.configuration.is_file():
-            raise TrainerError(f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out.")
+            raise TrainerError(
+                f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out."
+            )
         before, now = _flat(self.read_config().as_dict()), _flat(config.as_dict())
         differing = [
             f"{name} {before.get(name)} -> {now.get(name)}"
@@ -135,7 +148,9 @@ class RunFolder:
                 "with --force, or choose another --run-id."
             )
         if any(self.path.iterdir()) and not self.configuration.is_file():
-            raise TrainerError(f"{self.path} is not a run's folder, so --force leaves it alone; choose another --run-id.")
+            raise TrainerError(
+                f"{self.path} is not a run's folder, so --force leaves it alone; choose another --run-id."
+            )
         shutil.rmtree(self.path)
 
 

@@ -6,7 +6,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-
 from trainer.config import RunConfig
 from trainer.evaluation import Episode, evaluate, summarise
 from trainer.figures import save_episode_paths, save_learning_curve

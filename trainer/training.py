@@ -102,9 +102,7 @@ def open_player(
             environment.close()
 
 
-def _as_vec_env(
-    config: RunConfig, environment: UnityEnvironment, statistics: StatsSideChannel
-) -> tuple[VecEnv, str]:
+def _as_vec_env(config: RunConfig, environment: UnityEnvironment, statistics: StatsSideChannel) -> tuple[VecEnv, str]:
     if not config.through_gym:
         vec_env = UnityVecEnv(environment, statistics)
         return vec_env, vec_env.behavior

@@ -1,5 +1,6 @@
 """Opens any ML-Agents environment: our own player, a Unity build, the Unity editor, or a player elsewhere."""
 
+import atexit
 import os
 import shutil
 import sys
@@ -42,7 +43,15 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         except UnityException:
             if hasattr(self, "_communicator"):
                 self._close(0)
+            atexit.unregister(self._close)
             raise
+
+    def _close(self, timeout: int | None = None) -> None:
+        process = self._process
+        super()._close(timeout)
+        atexit.unregister(self._close)
+        if process is not None:
+            process.wait()  # of one that had to be killed, too: no zombie stays
 
     def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
@@ -73,7 +82,12 @@ def open_environment(
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
     """
     file_name, host, port = _place(env, port)
-    options = {"seed": seed, "num_areas": num_areas, "timeout_wait": timeout_wait, "side_channels": side_channels}
+    options: dict[str, Any] = {
+        "seed": seed,
+        "num_areas": num_areas,
+        "timeout_wait": timeout_wait,
+        "side_channels": side_channels,
+    }
     if log_folder is not None:
         log_folder.mkdir(parents=True, exist_ok=True)
         options["log_folder"] = str(log_folder.absolute())

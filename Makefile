@@ -1,0 +1,41 @@
+# Everything runs in .venv, made on first use from constraints.txt. Another interpreter: make PYTHON=python3.12 ...
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV ?= .venv
+BIN := $(VENV)/bin
+RUN ?= corridor-$(shell date +%Y%m%d-%H%M%S)
+INSTALLED := $(VENV)/.installed
+
+.PHONY: install train test lint format proto docs clean
+install: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+train: $(INSTALLED)  ## train the paper's agent; e.g. make train RUN=mine ARGS='--seed 1 --c 0'
+	$(BIN)/corridor train --run-id $(RUN) $(ARGS)
+
+test: $(INSTALLED)  ## run every test; e.g. make test ARGS='-m "not slow"'
+	$(BIN)/pytest $(ARGS)
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+proto: $(INSTALLED)  ## compile proto/ into the player's descriptor set
+	cd proto && ../$(BIN)/python -m grpc_tools.protoc -I. --include_imports \
+		--descriptor_set_out=../corridor_server/messages.binpb $$(find mlagents_envs -name '*.proto' | sort)
+
+docs: $(INSTALLED)  ## write docs/parameters.md's table from the code
+	$(BIN)/python -c "from pathlib import Path; from corridor_server.config import parameter_table; \
+		path = Path('docs/parameters.md'); text = path.read_text(); \
+		path.write_text(text[:text.index('| name')] + parameter_table() + '\n')"
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
