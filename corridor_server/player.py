@@ -13,6 +13,7 @@ from corridor_server.side_channels import SideChannelError
 logger = logging.getLogger(__name__)
 
 FAREWELL_SECONDS = 1.0
+MAX_AREAS = 2**16
 
 
 class PlayerError(Exception):
@@ -98,6 +99,8 @@ class Player:
             logger.warning("The trainer speaks communication version %s, this player %s.", theirs, API_VERSION)
         seed = parameters.seed if self._seed is None else self._seed
         count = parameters.num_areas if parameters.num_areas > 1 else (self._num_areas or 1)
+        if not 1 <= count <= MAX_AREAS:
+            raise PlayerError(f"The trainer asks for {count} areas, but 1 to {MAX_AREAS} can be served.")
         logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
         return Areas(self._config, seed, range(count))
 

@@ -30,7 +30,7 @@ def train_run(
     """
     console = Console()
     evaluated: list[Episode] | None = None
-    with open_player(config, folder, seed=config.seed, port=port, timeout_wait=timeout_wait) as (player, behavior):
+    with open_player(config, folder.logs, seed=config.seed, port=port, timeout_wait=timeout_wait) as (player, behavior):
         stages = build_stages(config, player)
         counters = resume(folder, stages) if resumed else Counters()
         first_step = counters.env_steps
@@ -86,11 +86,12 @@ def evaluate_run(config: RunConfig, folder: RunFolder, *, port: int, timeout_wai
 
 def _evaluation_player(config: RunConfig, folder: RunFolder, port: int, timeout_wait: int) -> Any:
     seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
-    return open_player(config, folder, seed=seed, port=port, timeout_wait=timeout_wait)
+    return open_player(config, folder.logs / "evaluation", seed=seed, port=port, timeout_wait=timeout_wait)
 
 
 def _report(console: Console, folder: RunFolder, episodes: list[Episode], title: str, behavior: str) -> None:
-    table = Table("evaluation", "", title=f"{title}, deterministic policy", title_justify="left")
+    console.print(f"Evaluation of {title}, deterministic policy:", highlight=False, soft_wrap=True)
+    table = Table("measure", "value")
     for name, value in summarise(episodes).items():
         table.add_row(name, "not reported" if value is None else f"{value:g}")
     console.print(table)

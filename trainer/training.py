@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -66,13 +67,13 @@ class Stages:
 
 @contextmanager
 def open_player(
-    config: RunConfig, folder: RunFolder, *, seed: int, port: int, timeout_wait: int
+    config: RunConfig, logs: Path, *, seed: int, port: int, timeout_wait: int
 ) -> Iterator[tuple[VecEnv, str]]:
     """Opens the run's environment as a VecEnv, and closes it whatever happens.
 
     Args:
         config: The run.
-        folder: Where the player logs.
+        logs: Folder for the player's log.
         seed: The player's seed.
         port: The port for a launched player.
         timeout_wait: Seconds to wait for the player.
@@ -91,11 +92,11 @@ def open_player(
         num_areas=config.num_areas,
         port=port,
         timeout_wait=timeout_wait,
-        log_folder=folder.logs,
+        log_folder=logs,
         side_channels=[statistics, parameters],
     )
     try:
-        with player_errors(folder.logs):
+        with player_errors(logs):
             yield _as_vec_env(config, environment, statistics)
     finally:
         with uninterrupted():
