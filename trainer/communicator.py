@@ -55,7 +55,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
     def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
         _check_port(worker_id, host, port)
         server = grpc.server(
-            _DaemonPool(HANDLERS),  # type: ignore[arg-type]  # gRPC only submits to it
+            _DaemonPool(HANDLERS),
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
         )
         exchange = grpc.unary_unary_rpc_method_handler(
