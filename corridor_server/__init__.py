@@ -1,6 +1,6 @@
 """The paper's corridor as a player that speaks the ML-Agents protocol, and as a Gymnasium environment.
 
-The data flows one way: ``config`` -> ``world`` -> ``areas`` -> ``wire`` and ``side_channels`` -> ``player``.
+The data flows one way: ``config`` -> ``world`` -> ``drawing``, ``areas`` -> ``wire``, ``side_channels`` -> ``player``.
 ``gym_env`` stands on ``areas`` too, and is the oracle that the player is tested against.
 """
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from corridor_server import world
 from corridor_server.config import CorridorConfig
+from corridor_server.drawing import top_view
 from corridor_server.parameters import EpisodeParameters, Value, area_generator
 
 
@@ -19,15 +20,18 @@ class Agents:
         ids: (n,) int32, one id an episode.
         observations: (n, 8 + 5K) float32.
         rewards: Since the agent's last batch, (n,) float32.
+        images: Top views, (n, height, width, 3) uint8; None without a camera.
     """
 
     ids: NDArray[np.int32]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
+    images: NDArray[np.uint8] | None = None
 
     def rows(self, rows: NDArray[np.intp]) -> "Agents":
         """A copy of some of these agents."""
-        return Agents(self.ids[rows], self.observations[rows], self.rewards[rows])
+        images = None if self.images is None else self.images[rows]
+        return Agents(self.ids[rows], self.observations[rows], self.rewards[rows], images)
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,17 @@ class Areas:
         config: The corridor.
         seed: With an area's number, decides that area's episodes.
         areas: The areas' numbers; ``range(N)`` for N of them, ``[i]`` to look at the i-th alone.
+        camera: Width and height of each agent's picture, in pixels; None draws none.
     """
 
-    def __init__(self, config: CorridorConfig, seed: int, areas: Iterable[int]) -> None:
+    def __init__(
+        self, config: CorridorConfig, seed: int, areas: Iterable[int], camera: tuple[int, int] | None = None
+    ) -> None:
         numbers = tuple(areas)
         self.config = config
         self.parameters = EpisodeParameters(config, numbers)
         self._generators = [area_generator(seed, area) for area in numbers]
+        self._camera = camera
         self._next_id = 1
         count = len(numbers)
         self.state = world.State.empty(count, config.num_opponents)
@@ -85,15 +93,14 @@ class Areas:
         self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
         nobody = np.zeros(0, dtype=np.intp)
-        observations = world.observation(self.parameters.columns, self.state)
-        deciding = Agents(self._ids.copy(), observations, np.zeros(len(self), dtype=np.float32))
+        deciding = self._agents(np.zeros(len(self), dtype=np.float32))
         return Batch(deciding, deciding.rows(nobody), np.zeros(0, dtype=np.bool_), {})
 
     def step(self, actions: NDArray[np.float32]) -> Batch:
         """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends."""
         p = self.parameters.columns
         self.state, outcome = world.step(p, self.state, actions.astype(np.float64))
-        agents = Agents(self._ids.copy(), world.observation(p, self.state), outcome.reward.astype(np.float32))
+        agents = self._agents(outcome.reward.astype(np.float32))
         self._begun_by_end = outcome.ended
         rows = np.flatnonzero(outcome.ended)
         ended = agents.rows(rows)
@@ -104,7 +111,19 @@ class Areas:
         agents.ids[rows] = self._ids[rows]
         agents.observations[rows] = world.observation(p, self.state)[rows]
         agents.rewards[rows] = 0.0
+        if agents.images is not None:
+            agents.images[rows] = self._pictures(rows)
         return Batch(agents, ended, outcome.truncated[rows], statistics)
+
+    def _agents(self, rewards: NDArray[np.float32]) -> Agents:
+        observations = world.observation(self.parameters.columns, self.state)
+        images = None if self._camera is None else self._pictures(np.arange(len(self)))
+        return Agents(self._ids.copy(), observations, rewards, images)
+
+    def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
+        assert self._camera is not None
+        width, height = self._camera
+        return np.stack([top_view(self.parameters.columns, self.state, area, width, height) for area in areas])
 
     def _begin(self, areas: NDArray[np.intp]) -> None:
         if not len(areas):

@@ -5,7 +5,7 @@ from typing import Any
 import grpc
 from google.protobuf.message import DecodeError
 
-from corridor_server.messages import EXCHANGE, UnityMessageProto
+from corridor_server.messages import API_VERSION, EXCHANGE, UnityMessageProto
 
 _OPTIONS = [
     ("grpc.enable_http_proxy", 0),
@@ -25,13 +25,15 @@ class Connection:
     Args:
         host: Where the trainer listens.
         port: The trainer's port.
-        timeout_wait: Seconds to wait for it.
+        timeout_wait: Seconds to wait for it; it is tried again and again, at most a second apart.
+        timeout_reply: Seconds to wait for each reply: a trainer may learn for long between two of them.
 
     Raises:
         ConnectionFailed: Nobody listens there within ``timeout_wait``.
     """
 
-    def __init__(self, host: str, port: int, timeout_wait: float) -> None:
+    def __init__(self, host: str, port: int, timeout_wait: float, timeout_reply: float) -> None:
+        self._timeout_reply = timeout_reply
         self._address = f"{host}:{port}"
         self._channel = grpc.insecure_channel(self._address, options=_OPTIONS)
         try:
@@ -39,8 +41,8 @@ class Connection:
         except grpc.FutureTimeoutError as error:
             self._channel.close()
             raise ConnectionFailed(
-                f"No trainer listens on {self._address} (waited {timeout_wait:g} s); start the trainer first, "
-                "and give the player its port with --mlagents-port."
+                f"No trainer listens on {self._address} (waited {timeout_wait:g} s, ML-Agents API {API_VERSION}); "
+                "start the trainer first, and give the player its port with --mlagents-port."
             ) from error
         self._exchange = self._channel.unary_unary(
             EXCHANGE, request_serializer=UnityMessageProto.SerializeToString, response_deserializer=None
@@ -49,16 +51,17 @@ class Connection:
     def exchange(self, message: Any, timeout: float | None = None) -> Any:
         """Sends a message and waits for the trainer's.
 
+        Args:
+            message: UnityMessageProto.
+            timeout: Seconds; ``timeout_reply`` if not given.
+
         Raises:
             ConnectionFailed: The trainer is gone, or its answer is not a protocol message.
         """
         try:
-            reply = self._exchange(message, timeout=timeout)
+            reply = self._exchange(message, timeout=self._timeout_reply if timeout is None else timeout)
         except grpc.RpcError as error:
-            raise ConnectionFailed(
-                f"The connection to the trainer at {self._address} broke ({error.code().name}); "
-                "it stopped or was killed."
-            ) from error
+            raise ConnectionFailed(self._reason(error.code())) from error
         try:
             return UnityMessageProto.FromString(reply)
         except DecodeError as error:
@@ -66,6 +69,19 @@ class Connection:
                 f"The trainer at {self._address} sent {len(reply)} bytes that are not a protocol message; "
                 "is it an ML-Agents trainer?"
             ) from error
+
+    def _reason(self, code: grpc.StatusCode) -> str:
+        match code:
+            case grpc.StatusCode.DEADLINE_EXCEEDED:
+                return f"The trainer at {self._address} sent no reply for {self._timeout_reply:g} s; it hangs."
+            case grpc.StatusCode.UNIMPLEMENTED:
+                return f"What listens on {self._address} is no ML-Agents trainer (API {API_VERSION}); check the port."
+            case grpc.StatusCode.ALREADY_EXISTS:
+                return f"The trainer at {self._address} has another player; give each player a port of its own."
+            case _:
+                return (
+                    f"The connection to the trainer at {self._address} broke: it stopped or was killed ({code.name})."
+                )
 
     def close(self) -> None:
         """Closes the channel."""

@@ -40,11 +40,19 @@ def _play(options: argparse.Namespace, config: CorridorConfig) -> int:
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     try:
-        connection = Connection(options.host, options.mlagents_port, options.timeout_wait)
+        connection = Connection(options.host, options.mlagents_port, options.timeout_wait, options.timeout_reply)
     except Stopped as stopped:
         logger.info("%s before a trainer was found.", stopped)
         return 0
-    player = Player(connection, config, _package_version(), options.seed, options.num_areas)
+    player = Player(
+        connection,
+        config,
+        _package_version(),
+        options.seed,
+        options.num_areas,
+        options.camera,
+        compressed=not options.camera_raw,
+    )
     try:
         player.run()
     except Stopped as stopped:
@@ -104,7 +112,23 @@ def _parser() -> argparse.ArgumentParser:
     own.add_argument(
         "--timeout-wait", type=float, default=60.0, metavar="S", help="seconds to wait for it (default: %(default)g)"
     )
+    own.add_argument(
+        "--timeout-reply",
+        type=float,
+        default=3600.0,
+        metavar="S",
+        help="and for each reply (default: %(default)g)",
+    )
+    own.add_argument("--camera", type=_size, metavar="WIDTHxHEIGHT", help="add a top view as a visual observation")
+    own.add_argument("--camera-raw", action="store_true", help="send it as floats instead of PNG")
     return parser
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 1024 and 1 <= int(height) <= 1024):
+        raise argparse.ArgumentTypeError(f"{text!r} is no picture size; 1x1 to 1024x1024 was expected.")
+    return int(width), int(height)
 
 
 def _positive(text: str) -> int:

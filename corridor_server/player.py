@@ -7,7 +7,7 @@ from corridor_server import side_channels, wire
 from corridor_server.areas import Areas, Batch
 from corridor_server.config import CorridorConfig
 from corridor_server.connection import Connection, ConnectionFailed
-from corridor_server.messages import API_VERSION, QUIT, RESET
+from corridor_server.messages import API_VERSION, QUIT, RESET, STEP
 from corridor_server.side_channels import SideChannelError
 
 logger = logging.getLogger(__name__)
@@ -29,6 +29,8 @@ class Player:
         package_version: Announced in the handshake.
         seed: Used instead of the trainer's seed, if given.
         num_areas: Used where the trainer asks for one area or, as old ones do, for none.
+        camera: Width and height of a visual observation, in pixels; None sends none.
+        compressed: Send it as PNG instead of floats.
     """
 
     def __init__(
@@ -38,12 +40,16 @@ class Player:
         package_version: str,
         seed: int | None = None,
         num_areas: int | None = None,
+        camera: tuple[int, int] | None = None,
+        compressed: bool = True,
     ) -> None:
         self._connection = connection
         self._config = config
         self._package_version = package_version
         self._seed = seed
         self._num_areas = num_areas
+        self._camera = camera
+        self._compressed = compressed
 
     def run(self) -> None:
         """Plays until the trainer ends it with QUIT or a status other than 200.
@@ -72,19 +78,23 @@ class Player:
         reply = self._connection.exchange(wire.hello(self._package_version))
         if _stops(reply):
             return
-        areas = self._areas(reply.unity_input.rl_initialization_input)
+        parameters = reply.unity_input.rl_initialization_input
+        areas = self._areas(parameters)
+        camera = wire.Camera(self._compressed, _wants_channels_first(parameters.package_version))
         reply = self._connection.exchange(wire.acknowledgement())
         batch: Batch | None = None
         introduced = False
         while not _stops(reply):
             rl_input = reply.unity_input.rl_input
             self._apply_side_channels(areas, rl_input.side_channel)
+            if rl_input.command not in (STEP, RESET):
+                raise PlayerError(f"The trainer sent command {rl_input.command}; STEP, RESET or QUIT was expected.")
             if rl_input.command == RESET or batch is None:
                 batch = areas.reset()
             else:
                 batch = areas.step(wire.actions(rl_input, len(areas)))
             statistics = side_channels.write_statistics(batch)
-            reply = self._connection.exchange(wire.output(batch, statistics, introduce=not introduced))
+            reply = self._connection.exchange(wire.output(batch, statistics, not introduced, camera))
             introduced = True
         logger.info("The trainer ended the session.")
 
@@ -102,7 +112,7 @@ class Player:
         if not 1 <= count <= MAX_AREAS:
             raise PlayerError(f"The trainer asks for {count} areas, but 1 to {MAX_AREAS} can be served.")
         logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
-        return Areas(self._config, seed, range(count))
+        return Areas(self._config, seed, range(count), self._camera)
 
     def _apply_side_channels(self, areas: Areas, buffer: bytes) -> None:
         for channel, payload in side_channels.split(buffer):
@@ -119,6 +129,11 @@ class Player:
                 logger.info("Engine setting %s noted: the corridor has no engine to set.", setting)
             elif channel != side_channels.TRAINING_ANALYTICS:
                 logger.warning("A message of %d bytes for unknown side channel %s was skipped.", len(payload), channel)
+
+
+def _wants_channels_first(package_version: str) -> bool:
+    major = package_version.partition(".")[0]
+    return major.isdigit() and int(major) >= 1
 
 
 def _stops(reply: Any) -> bool:

@@ -115,7 +115,25 @@ class Evaluate:
     results_dir: Path = Path("results")
 
 
-Command = Annotated[Train, tyro.conf.subcommand("train")] | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+@dataclass(frozen=True)
+class Check:
+    """Hold a player against the ML-Agents protocol, and against the corridor's contract.
+
+    Attributes:
+        env: builtin, a build's path, editor, or HOST:PORT to listen on. A player that is not started here has to dial
+            in again for every sentence.
+        timeout_wait: Seconds to wait for each message of the player.
+    """
+
+    env: str = "builtin"
+    timeout_wait: float = 20.0
+
+
+Command = (
+    Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -132,7 +150,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(command: Train | Evaluate) -> int:
+def _run(command: Train | Evaluate | Check) -> int:
+    if isinstance(command, Check):
+        from trainer.conformance.check import check_player
+
+        return 0 if check_player(command.env, command.timeout_wait, Console()) else 1
     if isinstance(command, Train):
         config = command.run_config()
         folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)

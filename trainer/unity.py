@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mlagents_envs import env_utils
 from mlagents_envs.base_env import BehaviorSpec
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import (
@@ -81,7 +82,7 @@ def open_environment(
     Raises:
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
     """
-    file_name, host, port = _place(env, port)
+    file_name, host, port = place(env, port)
     options: dict[str, Any] = {
         "seed": seed,
         "num_areas": num_areas,
@@ -106,7 +107,7 @@ def open_environment(
 
 def can_be_launched(env: str) -> bool:
     """Whether the player is a program that the trainer starts itself, and so can start again."""
-    return _place(env, 0)[0] is not None
+    return place(env, 0)[0] is not None
 
 
 @contextmanager
@@ -163,8 +164,8 @@ def _check_contract(spec: BehaviorSpec) -> None:
         )
 
 
-def _place(env: str, port: int) -> tuple[str | None, str, int]:
-    """Executable (None: wait for a player), host and port to listen on."""
+def place(env: str, port: int) -> tuple[str | None, str, int]:
+    """Executable (None: wait for a player), host and port to listen on; ``port`` is for an executable."""
     if env == BUILTIN:
         return _builtin_player(), LOOPBACK, port
     if env == EDITOR:
@@ -173,6 +174,20 @@ def _place(env: str, port: int) -> tuple[str | None, str, int]:
     if colon and number.isdigit() and os.sep not in env:
         return None, host, int(number)
     return env, LOOPBACK, port
+
+
+def launch_path(file_name: str) -> str:
+    """The program that ``mlagents_envs`` would launch for a build's name.
+
+    Raises:
+        TrainerError: There is none, or it may not be executed.
+    """
+    path = env_utils.validate_environment_path(file_name)
+    if path is None:
+        raise TrainerError(f"There is no player {file_name}; give the path of a build's executable.")
+    if not os.access(path, os.X_OK):
+        raise TrainerError(f"{path} may not be executed; run 'chmod +x {path}'.")
+    return str(path)
 
 
 def _builtin_player() -> str:

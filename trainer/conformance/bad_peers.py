@@ -1,0 +1,73 @@
+"""Trainers that misbehave: whatever they send, a player ends or goes on, and never hangs."""
+
+from trainer.conformance.raw_trainer import NothingReceived, command, initialization, step
+from trainer.conformance.suite import Conformance, NotApplicable, Session, deciding
+
+
+class BadPeers(Conformance):
+    """Trainers that misbehave: whatever they send, a player ends or goes on, and never hangs."""
+
+    timeout = 5.0
+
+    def _ends_or_goes_on(self, session: Session) -> None:
+        """After a bad reply: either the player answers, or its process ends."""
+        try:
+            session.trainer.receive_bytes()
+        except NothingReceived:
+            if session.process is None:
+                raise NotApplicable("the player's process can't be seen") from None
+            session.exit_code()
+
+    def test_bytes_that_are_no_message(self) -> None:
+        with self.playing() as session:
+            session.trainer.reply_bytes(b"\xff" * 40)
+            self._ends_or_goes_on(session)
+
+    def test_bytes_that_are_no_message_in_the_handshake(self) -> None:
+        with self.connected() as session:
+            session.trainer.receive()
+            session.trainer.reply_bytes(b"\x0a\xff\xff\xff\xff\x0f")
+            self._ends_or_goes_on(session)
+
+    def test_a_message_that_is_empty(self) -> None:
+        with self.playing() as session:
+            session.trainer.reply_bytes(b"")
+            self._ends_or_goes_on(session)
+
+    def test_a_second_initialization_in_mid_session(self) -> None:
+        with self.playing() as session:
+            session.trainer.reply(initialization())
+            self._ends_or_goes_on(session)
+
+    def test_too_few_and_too_many_actions(self) -> None:
+        for surplus in (-1, 1):
+            with self.playing(num_areas=2) as session:
+                rows = {
+                    name: [[0.0] * session.action_size(name)] * (len(deciding(session.output, name)) + surplus)
+                    for name in session.specs
+                }
+                session.trainer.reply(step(rows))
+                self._ends_or_goes_on(session)
+
+    def test_actions_of_the_wrong_size(self) -> None:
+        for surplus in (-1, 1):
+            with self.playing() as session:
+                rows = {name: [[0.0] * (session.action_size(name) + surplus)] for name in session.specs}
+                session.trainer.reply(step(rows))
+                self._ends_or_goes_on(session)
+
+    def test_actions_for_a_behavior_that_does_not_exist(self) -> None:
+        with self.playing() as session:
+            session.trainer.reply(step({"Nobody?team=9": [[0.0]]}))
+            self._ends_or_goes_on(session)
+
+    def test_a_command_that_does_not_exist(self) -> None:
+        with self.playing() as session:
+            session.trainer.reply(command(77))
+            self._ends_or_goes_on(session)
+
+    def test_side_channel_bytes_that_are_cut_or_garbage(self) -> None:
+        for buffer in (b"\x01", b"\x00" * 19, b"\x07" * 24, b"\x00" * 16 + b"\xff\xff\xff\x7f", bytes(range(256))):
+            with self.playing() as session:
+                session.trainer.reply(session.message(0.0, buffer))
+                self._ends_or_goes_on(session)
