@@ -17,7 +17,12 @@ from typing import Any
 import grpc
 from google.protobuf.message import DecodeError
 from mlagents_envs.communicator import Communicator
-from mlagents_envs.exception import UnityCommunicationException, UnityTimeOutException, UnityWorkerInUseException
+from mlagents_envs.exception import (
+    UnityCommunicationException,
+    UnityException,
+    UnityTimeOutException,
+    UnityWorkerInUseException,
+)
 
 from corridor_server.messages import SERVICE, UnityMessageProto
 
@@ -50,12 +55,17 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         self._received: SimpleQueue[bytes | None] = SimpleQueue()
         self._replies: SimpleQueue[Any] = SimpleQueue()
         self._peer: str | None = None
-        self._server: grpc.Server | None = self._serve(worker_id, host, base_port + worker_id)
+        self._pool = _DaemonPool(HANDLERS)
+        try:
+            self._server: grpc.Server | None = self._serve(worker_id, host, base_port + worker_id)
+        except UnityException:
+            self._pool.shutdown()
+            raise
 
     def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
         _check_port(worker_id, host, port)
         server = grpc.server(
-            _DaemonPool(HANDLERS),
+            self._pool,
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
         )
         exchange = grpc.unary_unary_rpc_method_handler(
@@ -113,6 +123,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         for _ in range(HANDLERS):
             self._replies.put(_stop_message())
         self._server.stop(grace=1.0).wait()
+        self._pool.shutdown()
         self._server = None
 
     def _reply(self, inputs: Any) -> None:

@@ -39,7 +39,8 @@ class Result:
 
 def sentences(topic: type[Conformance]) -> list[str]:
     """The names of a topic's tests, in the order in which they stand."""
-    tests = inspect.getmembers(topic, lambda member: inspect.isfunction(member) and member.__name__.startswith("test_"))
+    tests = inspect.getmembers(topic, inspect.isfunction)
+    tests = [test for test in tests if test[0].startswith("test_")]
     return [name for name, _ in sorted(tests, key=lambda test: test[1].__code__.co_firstlineno)]
 
 

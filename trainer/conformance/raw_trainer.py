@@ -54,14 +54,17 @@ class RawTrainer:
         for _ in range(4):
             self._replies.put(b"")  # lets handlers end that wait for a reply nobody will read
 
-    def receive_bytes(self) -> bytes:
+    def receive_bytes(self, timeout: float | None = None) -> bytes:
         """The player's next message as it came.
+
+        Args:
+            timeout: Seconds to wait, if not as long as for every message.
 
         Raises:
             NothingReceived: None came in time.
         """
         try:
-            return self._received.get(timeout=self._timeout)
+            return self._received.get(timeout=self._timeout if timeout is None else timeout)
         except Empty:
             raise NothingReceived(f"the player sent nothing for {self._timeout:g} s") from None
 

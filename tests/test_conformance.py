@@ -1,0 +1,67 @@
+"""The kit on our own player: plain, and with a camera both ways."""
+
+import subprocess
+
+import numpy as np
+import pytest
+from conftest import BIN
+
+from trainer import conformance
+from trainer.conformance.raw_trainer import initialization
+from trainer.conformance.suite import agents
+
+
+class CorridorServer:
+    """How our player is started; what it prints goes to the test's own output."""
+
+    def start_player(self, port: int, *arguments: str) -> "subprocess.Popen[bytes]":
+        return subprocess.Popen([str(BIN / "corridor-server"), "--mlagents-port", str(port), *arguments])
+
+
+class TestHandshake(CorridorServer, conformance.Handshake): ...
+
+
+class TestEpisodes(CorridorServer, conformance.Episodes): ...
+
+
+class TestActions(CorridorServer, conformance.Actions): ...
+
+
+class TestReset(CorridorServer, conformance.Reset): ...
+
+
+class TestSideChannels(CorridorServer, conformance.SideChannels): ...
+
+
+class TestShutdown(CorridorServer, conformance.Shutdown): ...
+
+
+class TestBadPeers(CorridorServer, conformance.BadPeers): ...
+
+
+class TestCorridorContract(CorridorServer, conformance.CorridorContract): ...
+
+
+class TestVisualObservationsAsPng(CorridorServer, conformance.VisualObservations):
+    arguments = ("--camera", "40x24")
+
+
+class TestVisualObservationsAsFloats(CorridorServer, conformance.VisualObservations):
+    arguments = ("--camera", "40x24", "--camera-raw")
+
+
+@pytest.mark.parametrize(("package", "shape"), [("0.28.0", [24, 40, 3]), ("1.1.0", [3, 24, 40])])
+def test_a_pictures_layout_is_what_the_trainers_release_expects(package, shape):
+    """The protocol's version does not tell them apart."""
+
+    class Camera(CorridorServer, conformance.Conformance):
+        arguments = ("--camera", "40x24", "--camera-raw")
+
+    with Camera().connected() as session:
+        session.trainer.receive()
+        session.trainer.ask(initialization(package=package))
+        picture = agents(session.reset())[0].observations[0]
+        assert list(picture.shape) == shape
+        values = np.array(picture.float_data.data).reshape(shape)
+        corner = values[0, 0] if shape[-1] == 3 else values[:, 0, 0]
+        assert corner == pytest.approx([1.0, 1.0, 1.0]), "white, outside the walls"
