@@ -1,6 +1,8 @@
 """What tests share: a free port, a corridor whose numbers are easy by hand, and the commands under test."""
 
+import shutil
 import socket
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,6 +41,15 @@ def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., obje
     for environment in opened:
         if environment._loaded:
             environment.close()
+
+
+def interpreter(version: str) -> str | None:
+    """A Python of this version that runs, on the path or among pyenv's."""
+    found = [shutil.which(f"python{version}"), *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")]
+    for candidate in found:
+        if candidate and subprocess.run([candidate, "--version"], capture_output=True).returncode == 0:
+            return str(candidate)
+    return None
 
 
 class OneArea:

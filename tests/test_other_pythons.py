@@ -1,11 +1,11 @@
 """A current Python beyond the one at hand: import, handshake and 1,000 steps, in a fresh environment."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from conftest import interpreter
 
 ROOT = Path(__file__).parent.parent
 
@@ -25,15 +25,6 @@ for _ in range(1000):
 env.close()
 print("done")
 """
-
-
-def interpreter(version: str) -> str | None:
-    """An interpreter of this version that runs, on the path or among pyenv's."""
-    found = [shutil.which(f"python{version}"), *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")]
-    for candidate in found:
-        if candidate and subprocess.run([candidate, "--version"], capture_output=True).returncode == 0:
-            return str(candidate)
-    return None
 
 
 @pytest.mark.slow

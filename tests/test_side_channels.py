@@ -63,6 +63,30 @@ def test_statistics_arrive_at_mlagents_envs_one_value_for_each_episode():
     assert closest == pytest.approx(list(batch.statistics["Closest Approach"]))
 
 
+FLOATS = st.floats(-1e6, 1e6).map(lambda value: struct.unpack("<f", struct.pack("<f", value))[0])
+SEEDS = st.integers(-(2**31), 2**31 - 1)
+
+
+@given(st.text(max_size=30), FLOATS)
+def test_any_parameter_is_read_as_mlagents_envs_writes_it(name, value):
+    channel = EnvironmentParametersChannel()
+    channel.set_float_parameter(name, value)
+    assert [side_channels.read_environment_parameter(payload) for _, payload in sent(channel)] == [(name, value)]
+
+
+@given(SEEDS, FLOATS, FLOATS, st.lists(st.tuples(FLOATS, FLOATS), min_size=1, max_size=5))
+def test_any_sampler_is_read_as_mlagents_envs_writes_it(seed, low, high, ranges):
+    channel = EnvironmentParametersChannel()
+    channel.set_uniform_sampler_parameters("a", low, high, seed)
+    channel.set_gaussian_sampler_parameters("a", low, high, seed)
+    channel.set_multirangeuniform_sampler_parameters("a", ranges, seed)
+    assert [side_channels.read_environment_parameter(payload)[1] for _, payload in sent(channel)] == [
+        Uniform(seed, low, high),
+        Gaussian(seed, low, high),
+        MultiRangeUniform(seed, tuple(ranges)),
+    ]
+
+
 @given(st.lists(st.tuples(st.uuids(), st.binary(max_size=40)), max_size=5))
 def test_what_is_put_together_is_split_again(messages):
     buffer = b"".join(side_channels.message(guid, payload) for guid, payload in messages)

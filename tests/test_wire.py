@@ -92,7 +92,6 @@ def read(data: bytes) -> str:
             elif channel == side_channels.ENGINE_CONFIGURATION:
                 side_channels.read_engine_setting(payload)
     except (DecodeError, wire.WireError, side_channels.SideChannelError) as error:
-        assert str(error)
         return type(error).__name__
     return "read"
 
@@ -101,7 +100,8 @@ def read(data: bytes) -> str:
 def test_a_hundred_thousand_mutated_messages_neither_crash_nor_grow():
     whole = step(
         {wire.BEHAVIOR: [[0.5, -0.5], [1.0, 0.25]]},
-        environment_parameter("goal_x", 3.0) + side_channels.message(side_channels.ENGINE_CONFIGURATION, b"\2\0\0\0\0\0\0\0"),
+        environment_parameter("goal_x", 3.0)
+        + side_channels.message(side_channels.ENGINE_CONFIGURATION, b"\2\0\0\0\0\0\0\0"),
     ).SerializeToString()
     assert read(whole) == "read"
     rng = np.random.default_rng(0)
