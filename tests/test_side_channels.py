@@ -67,7 +67,7 @@ FLOATS = st.floats(-1e6, 1e6).map(lambda value: struct.unpack("<f", struct.pack(
 SEEDS = st.integers(-(2**31), 2**31 - 1)
 
 
-@given(st.text(max_size=30), FLOATS)
+@given(st.text(st.characters(codec="ascii"), max_size=30), FLOATS)
 def test_any_parameter_is_read_as_mlagents_envs_writes_it(name, value):
     channel = EnvironmentParametersChannel()
     channel.set_float_parameter(name, value)
