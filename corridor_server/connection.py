@@ -1,11 +1,8 @@
 """The gRPC connection to a trainer. The trainer is the server; a player dials it."""
 
-from typing import Any
-
 import grpc
-from google.protobuf.message import DecodeError
 
-from corridor_server.messages import API_VERSION, EXCHANGE, UnityMessageProto
+from corridor_server.messages import API_VERSION, EXCHANGE
 
 _OPTIONS = [
     ("grpc.enable_http_proxy", 0),
@@ -44,31 +41,23 @@ class Connection:
                 f"No trainer listens on {self._address} (waited {timeout_wait:g} s, ML-Agents API {API_VERSION}); "
                 "start the trainer first, and give the player its port with --mlagents-port."
             ) from error
-        self._exchange = self._channel.unary_unary(
-            EXCHANGE, request_serializer=UnityMessageProto.SerializeToString, response_deserializer=None
-        )
+        self._exchange = self._channel.unary_unary(EXCHANGE)
 
-    def exchange(self, message: Any, timeout: float | None = None) -> Any:
-        """Sends a message and waits for the trainer's.
+    def exchange(self, message: bytes, timeout: float | None = None) -> bytes:
+        """Sends a message's bytes and waits for the trainer's.
 
         Args:
-            message: UnityMessageProto.
+            message: A serialised UnityMessageProto.
             timeout: Seconds; ``timeout_reply`` if not given.
 
         Raises:
-            ConnectionFailed: The trainer is gone, or its answer is not a protocol message.
+            ConnectionFailed: The trainer is gone or silent, or something else listens there.
         """
         try:
-            reply = self._exchange(message, timeout=self._timeout_reply if timeout is None else timeout)
+            reply: bytes = self._exchange(message, timeout=self._timeout_reply if timeout is None else timeout)
         except grpc.RpcError as error:
             raise ConnectionFailed(self._reason(error.code())) from error
-        try:
-            return UnityMessageProto.FromString(reply)
-        except DecodeError as error:
-            raise ConnectionFailed(
-                f"The trainer at {self._address} sent {len(reply)} bytes that are not a protocol message; "
-                "is it an ML-Agents trainer?"
-            ) from error
+        return reply
 
     def _reason(self, code: grpc.StatusCode) -> str:
         match code:

@@ -7,7 +7,7 @@ from corridor_server import side_channels, wire
 from corridor_server.areas import Areas, Batch
 from corridor_server.config import CorridorConfig
 from corridor_server.connection import Connection, ConnectionFailed
-from corridor_server.messages import API_VERSION, QUIT, RESET, STEP
+from corridor_server.messages import API_VERSION, QUIT
 from corridor_server.side_channels import SideChannelError
 
 logger = logging.getLogger(__name__)
@@ -75,27 +75,20 @@ class Player:
             logger.debug("%s", error)
 
     def _play(self) -> None:
-        reply = self._connection.exchange(wire.hello(self._package_version))
-        if _stops(reply):
+        parameters = wire.parameters(self._connection.exchange(wire.hello(self._package_version)))
+        if parameters is None:
             return
-        parameters = reply.unity_input.rl_initialization_input
         areas = self._areas(parameters)
         camera = wire.Camera(self._compressed, _wants_channels_first(parameters.package_version))
         reply = self._connection.exchange(wire.acknowledgement())
         batch: Batch | None = None
-        introduced = False
-        while not _stops(reply):
-            rl_input = reply.unity_input.rl_input
-            self._apply_side_channels(areas, rl_input.side_channel)
-            if rl_input.command not in (STEP, RESET):
-                raise PlayerError(f"The trainer sent command {rl_input.command}; STEP, RESET or QUIT was expected.")
-            if rl_input.command == RESET or batch is None:
-                batch = areas.reset()
-            else:
-                batch = areas.step(wire.actions(rl_input, len(areas)))
-            statistics = side_channels.write_statistics(batch)
-            reply = self._connection.exchange(wire.output(batch, statistics, not introduced, camera))
-            introduced = True
+        while (command := wire.command(reply, len(areas) if batch else None)).number != QUIT:
+            self._apply_side_channels(areas, command.side_channel)
+            introduce = batch is None
+            # No actions: a RESET, or a STEP before the first one.
+            batch = areas.reset() if command.actions is None else areas.step(command.actions)
+            message = wire.output(batch, side_channels.write_statistics(batch), introduce, camera)
+            reply = self._connection.exchange(message)
         logger.info("The trainer ended the session.")
 
     def _areas(self, parameters: Any) -> Areas:
@@ -134,7 +127,3 @@ class Player:
 def _wants_channels_first(package_version: str) -> bool:
     major = package_version.partition(".")[0]
     return major.isdigit() and int(major) >= 1
-
-
-def _stops(reply: Any) -> bool:
-    return bool(reply.header.status != wire.OK or reply.unity_input.rl_input.command == QUIT)

@@ -1,4 +1,7 @@
-"""The codec: agent batches to protocol messages, action messages to arrays. It knows nothing of rewards or sockets."""
+"""The codec: agent batches to a message's bytes, a trainer's bytes to a command. It knows no rewards and no sockets.
+
+Batches of vector observations and plain STEP messages go by ``columnar``; everything else goes by the protobuf parser.
+"""
 
 import struct
 import zlib
@@ -6,10 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
+from corridor_server import columnar
 from corridor_server.areas import Agents, Batch
-from corridor_server.messages import API_VERSION, AgentInfoProto, UnityMessageProto
+from corridor_server.messages import API_VERSION, QUIT, RESET, STEP, AgentInfoProto, UnityMessageProto
 from corridor_server.world import ACTION_SIZE
 
 BEHAVIOR = "Corridor?team=0"
@@ -34,11 +39,26 @@ class Camera:
     channels_first: bool = False
 
 
+@dataclass(frozen=True)
+class Command:
+    """A trainer's reply, once the session has begun.
+
+    Attributes:
+        number: STEP, RESET or QUIT; QUIT also for a status other than 200.
+        side_channel: Bytes for the side channels, to be applied first.
+        actions: Of a STEP, (n, 2) float32 for the agents that asked, as received: clipping is the world's.
+    """
+
+    number: int
+    side_channel: bytes = b""
+    actions: NDArray[np.float32] | None = None
+
+
 class WireError(ValueError):
     """A message from the trainer that can't be used."""
 
 
-def hello(package_version: str) -> Any:
+def hello(package_version: str) -> bytes:
     """The player's first message (RL_INITIALIZATION_OUTPUT)."""
     message = UnityMessageProto()
     message.header.status = OK
@@ -52,24 +72,24 @@ def hello(package_version: str) -> Any:
     output.capabilities.hybridActions = True
     output.capabilities.trainingAnalytics = True
     output.capabilities.multiAgentGroups = True
-    return message
+    return _bytes(message)
 
 
-def acknowledgement() -> Any:
+def acknowledgement() -> bytes:
     """An empty message with status 200; the reply to it is the first command."""
     message = UnityMessageProto()
     message.header.status = OK
-    return message
+    return _bytes(message)
 
 
-def farewell() -> Any:
+def farewell() -> bytes:
     """Tells the trainer that the player stops by itself."""
     message = UnityMessageProto()
     message.header.status = STOP
-    return message
+    return _bytes(message)
 
 
-def output(batch: Batch, side_channel: bytes, introduce: bool, camera: Camera | None = None) -> Any:
+def output(batch: Batch, side_channel: bytes, introduce: bool, camera: Camera | None = None) -> bytes:
     """A batch of agents, ended ones first.
 
     Args:
@@ -78,6 +98,8 @@ def output(batch: Batch, side_channel: bytes, introduce: bool, camera: Camera | 
         introduce: Whether the behavior's parameters come along, as they do the first time that it has agents.
         camera: How the batch's pictures travel, if it has any.
     """
+    if not introduce and batch.deciding.images is None:
+        return columnar.write_output(BEHAVIOR, _vector_name(batch), _rows(batch), side_channel)
     message = UnityMessageProto()
     message.header.status = OK
     rl_output = message.unity_output.rl_output
@@ -95,40 +117,103 @@ def output(batch: Batch, side_channel: bytes, introduce: bool, camera: Camera | 
         brain.action_spec.num_continuous_actions = ACTION_SIZE
         brain.vector_action_size_deprecated.append(ACTION_SIZE)
         brain.vector_action_space_type_deprecated = CONTINUOUS
-    return message
+    return _bytes(message)
 
 
-def actions(rl_input: Any, count: int) -> NDArray[np.float32]:
-    """The actions for the agents that asked for a decision, in the order in which they were sent.
-
-    Args:
-        rl_input: UnityRLInputProto; older trainers fill ``vector_actions_deprecated`` only.
-        count: Number of agents that asked.
-
-    Returns:
-        (count, 2) float32, as received: clipping to [-1, 1] is the world's.
+def parameters(data: bytes) -> Any | None:
+    """What the trainer answers to ``hello``, UnityRLInitializationInputProto; None if it ends the session instead.
 
     Raises:
-        WireError: Another number of actions or action size than asked for, or NaN or Inf among them.
+        WireError: The bytes are no message.
     """
+    message = _parse(data)
+    return None if _ends(message) else message.unity_input.rl_initialization_input
+
+
+def command(data: bytes, count: int | None) -> Command:
+    """Reads a trainer's reply.
+
+    Args:
+        data: Its bytes.
+        count: Number of agents that asked for a decision; None before there are any, when no actions are read.
+
+    Raises:
+        WireError: No message, an unknown command, or actions that can't be used: another number or size than asked
+            for, NaN or Inf.
+    """
+    plain = None if count is None else columnar.read_step(data, BEHAVIOR, ACTION_SIZE)
+    if plain is not None and count is not None:
+        return Command(STEP, plain[1], _checked(plain[0], count))
+    message = _parse(data)
+    if _ends(message):
+        return Command(QUIT)
+    rl_input = message.unity_input.rl_input
+    if rl_input.command == RESET:
+        return Command(RESET, rl_input.side_channel)
+    if rl_input.command != STEP:
+        raise WireError(f"The trainer sent command {rl_input.command}; STEP, RESET or QUIT was expected.")
+    if count is None:
+        return Command(STEP, rl_input.side_channel)
     received = rl_input.agent_actions[BEHAVIOR].value if BEHAVIOR in rl_input.agent_actions else ()
-    if len(received) != count:
-        raise WireError(
-            f"The trainer sent {len(received)} actions for behavior {BEHAVIOR}, but {count} agents asked for one."
-        )
+    # Trainers from before version 1.3 of the protocol fill the deprecated field only.
     rows = [action.continuous_actions or action.vector_actions_deprecated for action in received]
     for row in rows:
         if len(row) != ACTION_SIZE:
             raise WireError(f"An action has {len(row)} continuous values, but {ACTION_SIZE} were expected.")
-    result = np.array(rows, dtype=np.float32).reshape(count, ACTION_SIZE)
-    finite = np.isfinite(result).all(axis=1)
-    if not finite.all():
-        row_number = int(np.flatnonzero(~finite)[0])
+    actions = np.array(rows, dtype=np.float32).reshape(len(rows), ACTION_SIZE)
+    return Command(STEP, rl_input.side_channel, _checked(actions, count))
+
+
+def _checked(actions: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    if len(actions) != count:
         raise WireError(
-            f"Action {row_number} is {result[row_number].tolist()}, but finite numbers in [-1, 1] were expected; "
+            f"The trainer sent {len(actions)} actions for behavior {BEHAVIOR}, but {count} agents asked for one."
+        )
+    finite = np.isfinite(actions).all(axis=1)
+    if not finite.all():
+        row = int(np.flatnonzero(~finite)[0])
+        raise WireError(
+            f"Action {row} is {actions[row].tolist()}, but finite numbers in [-1, 1] were expected; "
             "look for a diverged policy."
         )
-    return result
+    return actions
+
+
+def _parse(data: bytes) -> Any:
+    try:
+        return UnityMessageProto.FromString(data)
+    except DecodeError as error:
+        raise WireError(
+            f"The trainer sent {len(data)} bytes that are not a protocol message; is it an ML-Agents trainer?"
+        ) from error
+
+
+def _ends(message: Any) -> bool:
+    return bool(message.header.status != OK or message.unity_input.rl_input.command == QUIT)
+
+
+def _bytes(message: Any) -> bytes:
+    data: bytes = message.SerializeToString()
+    return data
+
+
+def _vector_name(batch: Batch) -> str:
+    return f"VectorSensor_size{batch.deciding.observations.shape[1]}"
+
+
+def _rows(batch: Batch) -> columnar.AgentRows:
+    ended, deciding = batch.ended, batch.deciding
+    done = np.zeros(len(ended.ids) + len(deciding.ids), dtype=np.bool_)
+    interrupted = np.zeros_like(done)
+    done[: len(ended.ids)] = True
+    interrupted[: len(ended.ids)] = batch.interrupted
+    return columnar.AgentRows(
+        np.concatenate([ended.ids, deciding.ids]),
+        np.concatenate([ended.rewards, deciding.rewards]),
+        done,
+        interrupted,
+        np.concatenate([ended.observations, deciding.observations]),
+    )
 
 
 def _agent_infos(agents: Agents, camera: Camera | None) -> list[Any]:

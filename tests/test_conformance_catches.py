@@ -36,7 +36,7 @@ areas.Areas._begin = begin_with_old_ids
     "swapped action order": (
         conformance.CorridorContract,
         "each_action_reaches_the_agent_that_asked_in_that_place",
-        "actions = wire.actions\nwire.actions = lambda rl_input, count: actions(rl_input, count)[::-1]",
+        "checked = wire._checked\nwire._checked = lambda actions, count: checked(actions, count)[::-1]",
     ),
     "reward not reset": (
         conformance.CorridorContract,
@@ -89,17 +89,17 @@ wire.output = output_introducing_late
         """
 output = wire.output
 def output_with_another_shape(*arguments):
-    message = output(*arguments)
+    message = wire.UnityMessageProto.FromString(output(*arguments))
     for info in message.unity_output.rl_output.agentInfos[wire.BEHAVIOR].value:
         info.observations[0].shape[0] += 1
-    return message
+    return message.SerializeToString()
 wire.output = output_with_another_shape
 """,
     ),
     "ignoring QUIT": (
         conformance.Shutdown,
         "quit_ends_the_player_with_code_0",
-        "player.QUIT, player.STEP = 99, 2  # takes QUIT for a command that goes on",
+        "wire._ends = lambda message: message.header.status != wire.OK\nwire.STEP = 2  # QUIT, taken for a STEP",
     ),
     "ignoring num_areas": (
         conformance.Handshake,

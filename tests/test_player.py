@@ -153,7 +153,7 @@ def test_nobody_listening_is_one_sentence_with_host_port_and_seconds(free_port):
         [SERVER, "--mlagents-port", str(free_port), "--timeout-wait", "0.5"], capture_output=True, text=True, timeout=30
     )
     assert run.returncode == 1
-    assert re.search(rf"No trainer listens on localhost:{free_port} \(waited 0.5 s\)", run.stderr)
+    assert re.search(rf"No trainer listens on localhost:{free_port} \(waited 0.5 s, ML-Agents API 1.5.0\)", run.stderr)
     assert "Traceback" not in run.stderr
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -17,7 +16,7 @@ from PIL import Image
 
 from corridor_server import side_channels, wire
 from corridor_server.areas import Agents, Batch
-from corridor_server.messages import UnityMessageProto
+from corridor_server.messages import STEP, UnityMessageProto
 from trainer.conformance.raw_trainer import step
 from trainer.conformance.side_channels import environment_parameter
 
@@ -43,10 +42,12 @@ def batches(draw: st.DrawFn) -> Batch:
 
 @given(batches())
 def test_mlagents_envs_reads_the_batch_that_was_written(batch):
-    data = wire.output(batch, b"", introduce=True).SerializeToString()
-    output = UnityMessageProto.FromString(data).unity_output
-    infos = output.rl_output.agentInfos[wire.BEHAVIOR].value
-    spec = behavior_spec_from_proto(output.rl_initialization_output.brain_parameters[0], infos[0])
+    """By the parser as the first message, and by columns as every later one."""
+    introduction = UnityMessageProto.FromString(wire.output(batch, b"", introduce=True)).unity_output
+    later = UnityMessageProto.FromString(wire.output(batch, b"", introduce=False)).unity_output
+    assert later.rl_output == introduction.rl_output
+    infos = later.rl_output.agentInfos[wire.BEHAVIOR].value
+    spec = behavior_spec_from_proto(introduction.rl_initialization_output.brain_parameters[0], infos[0])
     decision, terminal = steps_from_proto(infos, spec)
     for read, written in ((decision, batch.deciding), (terminal, batch.ended)):
         assert np.array_equal(read.agent_id, written.ids)
@@ -61,7 +62,9 @@ def test_mlagents_envs_reads_the_batch_that_was_written(batch):
 )
 def test_actions_are_read_as_they_were_sent(actions, deprecated):
     message = step({wire.BEHAVIOR: actions.tolist()}, deprecated=deprecated)
-    assert np.array_equal(wire.actions(message.unity_input.rl_input, len(actions)), actions)
+    read = wire.command(message.SerializeToString(), len(actions))
+    assert read.number == STEP
+    assert np.array_equal(read.actions, actions)
 
 
 @given(arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(3))))
@@ -72,7 +75,8 @@ def test_a_png_holds_the_picture(image):
 
 @given(batches(), st.binary(max_size=30))
 def test_side_channel_bytes_travel_beside_the_agents(batch, buffer):
-    assert wire.output(batch, buffer, introduce=False).unity_output.rl_output.side_channel == buffer
+    data = wire.output(batch, buffer, introduce=False)
+    assert UnityMessageProto.FromString(data).unity_output.rl_output.side_channel == buffer
 
 
 @given(st.binary(max_size=300))
@@ -84,14 +88,13 @@ def test_any_bytes_are_a_message_or_refused(data):
 def read(data: bytes) -> str:
     """All that the player reads of a reply; returns what came of it."""
     try:
-        rl_input = UnityMessageProto.FromString(data).unity_input.rl_input
-        wire.actions(rl_input, 2)
-        for channel, payload in side_channels.split(rl_input.side_channel):
+        command = wire.command(data, 2)
+        for channel, payload in side_channels.split(command.side_channel):
             if channel == side_channels.ENVIRONMENT_PARAMETERS:
                 side_channels.read_environment_parameter(payload)
             elif channel == side_channels.ENGINE_CONFIGURATION:
                 side_channels.read_engine_setting(payload)
-    except (DecodeError, wire.WireError, side_channels.SideChannelError) as error:
+    except (wire.WireError, side_channels.SideChannelError) as error:
         return type(error).__name__
     return "read"
 
@@ -126,7 +129,7 @@ def test_a_hundred_thousand_mutated_messages_neither_crash_nor_grow():
         outcomes[outcome] = outcomes.get(outcome, 0) + 1
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert set(outcomes) == {"read", "DecodeError", "WireError", "SideChannelError"}
+    assert set(outcomes) == {"read", "WireError", "SideChannelError"}
     assert peak < 4 * 2**20
 
 

@@ -24,6 +24,7 @@ from mlagents_envs.exception import (
     UnityWorkerInUseException,
 )
 
+from corridor_server.columnar import HEADER_OK
 from corridor_server.messages import SERVICE, UnityMessageProto
 
 OK, STOP = 200, 400
@@ -53,7 +54,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         self._timeout_wait = timeout_wait
         # From the player: a message's bytes, or None when its connection broke. To the player: its next message.
         self._received: SimpleQueue[bytes | None] = SimpleQueue()
-        self._replies: SimpleQueue[Any] = SimpleQueue()
+        self._replies: SimpleQueue[bytes] = SimpleQueue()
         self._peer: str | None = None
         self._pool = _DaemonPool(HANDLERS)
         try:
@@ -68,9 +69,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
             self._pool,
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
         )
-        exchange = grpc.unary_unary_rpc_method_handler(
-            self._answer, request_deserializer=None, response_serializer=UnityMessageProto.SerializeToString
-        )
+        exchange = grpc.unary_unary_rpc_method_handler(self._answer)  # bytes in, bytes out
         server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": exchange})])
         try:
             server.add_insecure_port(f"{host}:{port}")
@@ -79,7 +78,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         server.start()
         return server
 
-    def _answer(self, request: bytes, context: grpc.ServicerContext) -> Any:
+    def _answer(self, request: bytes, context: grpc.ServicerContext) -> bytes:
         """Hands the player's message to the trainer's thread and waits for the reply (runs in a gRPC thread)."""
         if self._peer is None:
             self._peer = context.peer()
@@ -101,38 +100,37 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
     def initialize(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Waits for the player's first message, answers it, and returns what it said."""
         first = self._receive(poll_callback)
-        if first is None:
+        if first is None or self.exchange_bytes(_message(inputs), poll_callback) is None:
             raise UnityCommunicationException("The player broke the connection during the handshake.")
-        self._reply(inputs)
-        if self._receive(poll_callback) is None:
-            raise UnityCommunicationException("The player broke the connection during the handshake.")
-        return first.unity_output
+        return _parse(first).unity_output
 
     def exchange(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Sends a command and returns the player's answer, or None when the player has stopped."""
-        self._reply(inputs)
-        message = self._receive(poll_callback)
-        if message is None or message.header.status != OK:
-            return None
-        return message.unity_output
+        data = self.exchange_bytes(_message(inputs), poll_callback)
+        return None if data is None else _parse(data).unity_output
+
+    def exchange_bytes(self, message: bytes, poll_callback: PollCallback | None = None) -> bytes | None:
+        """Sends a serialised UnityMessageProto and returns the player's, or None when the player has stopped."""
+        self._replies.put(message)
+        data = self._receive(poll_callback)
+        if data is None or data.startswith(HEADER_OK) or _parse(data).header.status == OK:
+            return data
+        return None
 
     def close(self) -> None:
         """Tells the player to stop and closes the port."""
         if self._server is None:
             return
+        message = UnityMessageProto()
+        message.header.status = STOP
+        stop = message.SerializeToString()
         for _ in range(HANDLERS):
-            self._replies.put(_stop_message())
+            self._replies.put(stop)
         self._server.stop(grace=1.0).wait()
         self._pool.shutdown()
         self._server = None
 
-    def _reply(self, inputs: Any) -> None:
-        message = UnityMessageProto()
-        message.header.status = OK
-        message.unity_input.CopyFrom(inputs)
-        self._replies.put(message)
-
-    def _receive(self, poll_callback: PollCallback | None) -> Any:
+    def _receive(self, poll_callback: PollCallback | None) -> bytes | None:
         """The player's next message, or None when its connection broke.
 
         Raises:
@@ -151,13 +149,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
                     raise UnityTimeOutException(f"The player sent nothing for {self._timeout_wait:g} s.") from None
         if data is None:
             _wait_for_exit(poll_callback)
-            return None
-        try:
-            return UnityMessageProto.FromString(data)
-        except DecodeError as error:
-            raise UnityCommunicationException(
-                f"The player sent {len(data)} bytes that are not a message of the ML-Agents protocol."
-            ) from error
+        return data
 
 
 class _DaemonPool(Executor):
@@ -190,10 +182,21 @@ class _DaemonPool(Executor):
             call()
 
 
-def _stop_message() -> Any:
+def _message(inputs: Any) -> bytes:
     message = UnityMessageProto()
-    message.header.status = STOP
-    return message
+    message.header.status = OK
+    message.unity_input.CopyFrom(inputs)
+    data: bytes = message.SerializeToString()
+    return data
+
+
+def _parse(data: bytes) -> Any:
+    try:
+        return UnityMessageProto.FromString(data)
+    except DecodeError as error:
+        raise UnityCommunicationException(
+            f"The player sent {len(data)} bytes that are not a message of the ML-Agents protocol."
+        ) from error
 
 
 def _wait_for_exit(poll_callback: PollCallback | None) -> None:

@@ -4,13 +4,15 @@ import atexit
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mlagents_envs import env_utils
-from mlagents_envs.base_env import BehaviorSpec
+from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import (
     UnityCommunicatorStoppedException,
@@ -20,6 +22,8 @@ from mlagents_envs.exception import (
 )
 from mlagents_envs.side_channel.side_channel import SideChannel
 
+from corridor_server.columnar import AgentRows, read_output, write_step
+from corridor_server.messages import UnityMessageProto
 from trainer.communicator import ExchangeCommunicator
 from trainer.errors import TrainerError
 
@@ -27,8 +31,20 @@ BUILTIN, EDITOR = "builtin", "editor"
 LOOPBACK = "localhost"
 
 
+@dataclass(frozen=True)
+class _Plain:
+    """The one behavior of an environment with one vector observation and continuous actions."""
+
+    behavior: str
+    observation: str
+    observation_size: int
+
+
 class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has no type information
     """``UnityEnvironment`` over our communicator, listening on one host.
+
+    The same to its users. Where the environment has one behavior with one vector observation and continuous actions,
+    steps go by columns instead of a message object an agent, as long as the player's messages have the form for it.
 
     Args:
         file_name: The player's executable; None waits for a player that somebody else starts.
@@ -39,6 +55,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
 
     def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, **options: Any) -> None:
         self._host = host
+        self._plain: _Plain | None = None
         try:
             super().__init__(file_name, worker_id=0, base_port=port, no_graphics=True, **options)
         except UnityException:
@@ -54,8 +71,72 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         if process is not None:
             process.wait()  # of one that had to be killed, too: no zombie stays
 
+    def reset(self) -> None:
+        """Begins an episode everywhere."""
+        super().reset()
+        self._plain = _plain(self.behavior_specs)
+
+    def step(self) -> None:
+        """Sends the actions that were set and takes the player's next message."""
+        plain = self._plain
+        if plain is None or not self._loaded or not len(self._env_state[plain.behavior][0]):
+            super().step()
+            self._plain = _plain(self.behavior_specs)
+            return
+        if plain.behavior not in self._env_actions:
+            spec, count = self._env_specs[plain.behavior], len(self._env_state[plain.behavior][0])
+            self._env_actions[plain.behavior] = spec.action_spec.empty_action(count)
+        side_channel = bytes(self._side_channel_manager.generate_side_channel_messages())
+        message = write_step(plain.behavior, self._env_actions[plain.behavior].continuous, side_channel)
+        data = self._communicator.exchange_bytes(message, self._poll_process)
+        if data is None:
+            raise UnityCommunicatorStoppedException("Communicator has exited.")
+        read = read_output(data, plain.behavior, plain.observation, plain.observation_size)
+        if read is None:
+            output = UnityMessageProto.FromString(data).unity_output
+            self._update_behavior_specs(output)
+            self._update_state(output.rl_output)
+            self._plain = _plain(self.behavior_specs)
+        else:
+            self._env_state[plain.behavior] = _steps(read[0])
+            self._side_channel_manager.process_side_channel_message(read[1])
+        self._env_actions.clear()
+
     def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
+
+
+def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
+    if len(specs) != 1:
+        return None
+    name = next(iter(specs))
+    observations, action = specs[name].observation_specs, specs[name].action_spec
+    if len(observations) != 1 or len(observations[0].shape) != 1 or not action.is_continuous():
+        return None
+    return _Plain(name, observations[0].name, int(observations[0].shape[0]))
+
+
+def _steps(agents: AgentRows) -> tuple[DecisionSteps, TerminalSteps]:
+    for values, source in ((agents.observations, "observations"), (agents.rewards, "rewards")):
+        if not np.isfinite(values).all():
+            raise RuntimeError(f"The {source} provided had NaN or infinite values.")
+    if not agents.done.any():
+        nobody = agents.done.nonzero()[0]
+        return _decision(agents, slice(None)), _terminal(agents, nobody)
+    return _decision(agents, (~agents.done).nonzero()[0]), _terminal(agents, agents.done.nonzero()[0])
+
+
+def _decision(agents: AgentRows, rows: Any) -> DecisionSteps:
+    ids = agents.ids[rows]
+    none = np.zeros(len(ids), dtype=np.float32)
+    return DecisionSteps([agents.observations[rows]], agents.rewards[rows], ids, None, [0] * len(ids), none)
+
+
+def _terminal(agents: AgentRows, rows: Any) -> TerminalSteps:
+    ids = agents.ids[rows]
+    none = np.zeros(len(ids), dtype=np.float32)
+    observations, rewards, interrupted = agents.observations[rows], agents.rewards[rows], agents.interrupted[rows]
+    return TerminalSteps([observations], rewards, interrupted, ids, [0] * len(ids), none)
 
 
 def open_environment(
