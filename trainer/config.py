@@ -28,7 +28,7 @@ class PPOConfig:
         hidden_size: Units in each of the two hidden layers of actor and critic, which share none.
     """
 
-    n_steps: int = 16
+    n_steps: int = 8
     minibatches: int = 4
     epochs: int = 4
     learning_rate: float = 2.5e-4
@@ -126,7 +126,7 @@ class Preset:
 PRESETS: dict[PresetName, Preset] = {
     # Small, frequent updates from many areas find the goal before the failure penalty teaches hiding; a discount factor
     # near 1 makes putting failure off worth less (docs/calibration.md).
-    "fast": Preset(num_areas=64, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
+    "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area, and the defaults of the Stable Baselines release that the paper used.
     "paper": Preset(
         num_areas=1,

@@ -102,7 +102,7 @@ class Curiosity(VecEnvWrapper):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.module = IntrinsicCuriosityModule(shape[0], self.action_space, config)
-        self.optimizer = torch.optim.Adam(self.module.parameters(), lr=config.learning_rate)
+        self.optimizer = torch.optim.Adam(self.module.parameters(), lr=config.learning_rate, fused=True)
         self.generator = np.random.default_rng(seed)
         self.metrics: dict[str, float] = {}
         action_size = 1 if self.module.num_choices else int(np.prod(self.action_space.shape or ()))

@@ -129,10 +129,28 @@ class Check:
     timeout_wait: float = 20.0
 
 
+@dataclass(frozen=True)
+class Bench:
+    """Measure exchange, training, start-up and memory on this machine.
+
+    Attributes:
+        json: Write the figures to this file.
+        plot: Draw the rate against the number of areas to this PNG file.
+        official: A Python interpreter that has Unity's published client (mlagents-envs 1.1.0), to be measured beside.
+        base_port: The first of three ports for players.
+    """
+
+    json: Path | None = None
+    plot: Path | None = None
+    official: str | None = None
+    base_port: int = 5005
+
+
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
 
 
@@ -150,7 +168,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(command: Train | Evaluate | Check) -> int:
+def _run(command: Train | Evaluate | Check | Bench) -> int:
+    if isinstance(command, Bench):
+        from trainer.bench import run_bench
+
+        run_bench(command.json, command.plot, command.official, command.base_port, Console())
+        return 0
     if isinstance(command, Check):
         from trainer.conformance.check import check_player
 

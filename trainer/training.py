@@ -15,7 +15,7 @@ import torch
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
-from stable_baselines3 import PPO
+from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
@@ -25,6 +25,7 @@ from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
 from trainer.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
+from trainer.lean_ppo import LeanPPO
 from trainer.progress import ProgressDisplay, Snapshot
 from trainer.results import ProgressFile, RunFolder
 from trainer.unity import only_behavior, open_environment, player_errors
@@ -55,6 +56,13 @@ class Counters:
     steps_to_90_success: int | None = None
 
 
+class ObservationNormaliser(VecNormalize):
+    """``VecNormalize`` that does not follow the return's variance, which only ``norm_reward`` needs."""
+
+    def _update_reward(self, reward: NDArray[np.float64]) -> None:
+        pass
+
+
 @dataclass
 class Stages:
     """The environment's stages, lowest first, and the algorithm on top."""
@@ -62,7 +70,7 @@ class Stages:
     player: VecEnv
     normaliser: VecNormalize
     curiosity: Curiosity | None
-    model: PPO
+    model: LeanPPO
 
 
 @contextmanager
@@ -119,12 +127,12 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
     """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment."""
     torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
     ppo = config.ppo
-    normaliser = VecNormalize(VecMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP, gamma=ppo.gamma)
+    normaliser = ObservationNormaliser(VecMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
     top: VecEnv = normaliser
     curiosity = None
     if config.curiosity.c > 0:
         top = curiosity = Curiosity(normaliser, config.curiosity, ppo.n_steps, config.seed)
-    model = PPO(
+    model = LeanPPO(
         "MlpPolicy",
         top,
         n_steps=ppo.n_steps,

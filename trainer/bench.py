@@ -1,0 +1,351 @@
+"""``corridor bench``: how fast the wire and training are on this machine, side by side in one run.
+
+Rates on a shared machine drift, so the things compared are open at the same time and measured in turn; the medians are
+reported, and beside them ratios.
+"""
+
+import json
+import logging
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import grpc
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from mlagents_envs.base_env import ActionTuple
+from mlagents_envs.environment import UnityEnvironment
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from rich.console import Console
+from rich.table import Table
+
+from corridor_server import columnar
+from corridor_server.areas import Areas
+from corridor_server.config import CorridorConfig
+from corridor_server.messages import EXCHANGE, SERVICE
+from corridor_server.wire import BEHAVIOR
+from trainer.errors import TrainerError
+from trainer.unity import BUILTIN, launch_path, open_environment, place
+
+AREAS = (1, 16, 64, 256, 1024, 4096)
+ROUNDS = 5
+SECONDS = 0.6
+TRAIN_STEPS = 400_000
+MEMORY_AREAS = 1024
+
+# A client in a process of its own: for every line it reads, it plays so many seconds and prints exchanges a second.
+_CLIENT = """
+import sys, time
+import numpy as np
+try:
+    import trainer
+except ImportError:
+    pass
+from mlagents_envs.base_env import ActionTuple
+from mlagents_envs.environment import UnityEnvironment
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+player, port, areas = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+channels = [StatsSideChannel()]
+env = UnityEnvironment(
+    player, base_port=port, seed=1, no_graphics=True, num_areas=areas, side_channels=channels
+)
+env.reset()
+name = list(env.behavior_specs)[0]
+actions = np.zeros((areas, 2), np.float32)
+print("ready", flush=True)
+for line in sys.stdin:
+    begun, count = time.perf_counter(), 0
+    while time.perf_counter() - begun < float(line):
+        env.set_actions(name, ActionTuple(continuous=actions))
+        env.step()
+        env.get_steps(name)
+        count += 1
+    print(count / (time.perf_counter() - begun), flush=True)
+env.close()
+"""
+_ECHO = """
+import sys, time
+import grpc
+channel = grpc.insecure_channel(f"localhost:{sys.argv[1]}")
+grpc.channel_ready_future(channel).result(20)
+call, data = channel.unary_unary(sys.argv[3]), b"x" * int(sys.argv[2])
+print("ready", flush=True)
+for line in sys.stdin:
+    begun, count = time.perf_counter(), 0
+    while time.perf_counter() - begun < float(line):
+        call(data)
+        count += 1
+    print(count / (time.perf_counter() - begun), flush=True)
+"""
+
+
+class _Child:
+    """A program that measures when told to."""
+
+    def __init__(self, python: str, program: str, *arguments: object) -> None:
+        command = [python, "-c", program, *map(str, arguments)]
+        # Not in a shell's session: a Ctrl-C is ours to handle.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        self._line()
+
+    def rate(self) -> float:
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{SECONDS}\n")
+        self._process.stdin.flush()
+        return float(self._line())
+
+    def close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(20)
+
+    def _line(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise TrainerError(f"{self._process.args!r:.80}... ended before it measured anything; run it by hand.")
+        return line
+
+
+def run_bench(json_file: Path | None, plot: Path | None, official: str | None, port: int, console: Console) -> None:
+    """Measures everything, prints tables, and writes the JSON and the plot if asked to.
+
+    Raises:
+        TrainerError: A client can't be started.
+    """
+    logging.getLogger("mlagents_envs").setLevel(logging.ERROR)
+    report: dict[str, Any] = {"machine": _machine(), "exchange": [], "world": []}
+    with console.status("Measuring") as status:
+        for areas in AREAS:
+            status.update(f"Exchange with {areas} areas")
+            report["exchange"].append(_exchange(areas, official, port))
+            report["world"].append({"areas": areas, "steps_per_second": _world(areas)})
+        status.update("Training with and without curiosity")
+        report["train"] = _training(port)
+        status.update("Start-up and memory")
+        report["startup_seconds"] = _startup()
+        report["memory_mb"] = _memory(port)
+    _print(report, console)
+    if json_file is not None:
+        json_file.write_text(json.dumps(report, indent=2) + "\n")
+    if plot is not None:
+        _plot(report, plot)
+
+
+def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
+    """Agent steps a second for each client, and round trips a second for an echo of the same payloads."""
+    player = launch_path(place(BUILTIN, 0)[0] or "")
+    with ExitStack() as stack:
+        measures: dict[str, Any] = {"ours": stack.enter_context(_our_client(areas, port))}
+        children = {"mlagents_envs": (sys.executable, port + 1)}
+        if official is not None:
+            children["official"] = (official, port + 2)
+        for name, (python, child_port) in children.items():
+            child = _Child(python, _CLIENT, player, child_port, areas)
+            stack.callback(child.close)
+            measures[name] = child.rate
+        measures["echo"] = stack.enter_context(_echo(areas))
+        rates: dict[str, list[float]] = {name: [] for name in measures}
+        for _ in range(ROUNDS):
+            for name, measure in measures.items():
+                rates[name].append(measure())
+    medians = {name: statistics.median(values) for name, values in rates.items()}
+    row: dict[str, Any] = {
+        "areas": areas,
+        "ours": None,
+        "mlagents_envs": None,
+        "official": None,
+        "echo": medians["echo"],
+    }
+    return row | {name: rate * areas for name, rate in medians.items() if name != "echo"}
+
+
+@contextmanager
+def _our_client(areas: int, port: int) -> Iterator[Any]:
+    environment = open_environment(
+        BUILTIN, seed=1, num_areas=areas, port=port, timeout_wait=30, side_channels=[StatsSideChannel()]
+    )
+    environment.reset()
+    try:
+        yield lambda: _rate(environment, areas, SECONDS)
+    finally:
+        environment.close()
+
+
+def _rate(environment: UnityEnvironment, areas: int, seconds: float) -> float:
+    actions = np.zeros((areas, 2), np.float32)
+    begun, count = time.perf_counter(), 0
+    while time.perf_counter() - begun < seconds:
+        environment.set_actions(BEHAVIOR, ActionTuple(continuous=actions))
+        environment.step()
+        environment.get_steps(BEHAVIOR)
+        count += 1
+    return count / (time.perf_counter() - begun)
+
+
+@contextmanager
+def _echo(areas: int) -> Iterator[Any]:
+    """A bare gRPC server that answers as many bytes as a STEP has, and a client that sends as many as a batch has."""
+    flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, 13), np.float32)
+    rows = columnar.AgentRows(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
+    request = len(columnar.write_output(BEHAVIOR, "VectorSensor_size13", rows, b""))
+    reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
+    server = grpc.server(ThreadPoolExecutor(max_workers=2))
+    handler = grpc.unary_unary_rpc_method_handler(lambda data, context: reply)
+    server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": handler})])
+    port = server.add_insecure_port("localhost:0")
+    server.start()
+    child = _Child(sys.executable, _ECHO, port, request, EXCHANGE)
+    try:
+        yield child.rate
+    finally:
+        child.close()
+        server.stop(grace=None)
+
+
+def _world(areas: int) -> float:
+    """Agent steps a second of the world in process."""
+    corridor = Areas(CorridorConfig(), 1, range(areas))
+    corridor.reset()
+    actions = np.zeros((areas, 2), np.float32)
+    rates = []
+    for _ in range(ROUNDS):
+        begun, count = time.perf_counter(), 0
+        while time.perf_counter() - begun < SECONDS / 2:
+            corridor.step(actions)
+            count += 1
+        rates.append(count * areas / (time.perf_counter() - begun))
+    return statistics.median(rates)
+
+
+def _training(port: int) -> list[dict[str, Any]]:
+    rates: dict[float, list[float]] = {0.3: [], 0.0: []}
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(2):
+            for c, found in rates.items():
+                run_id = f"c{c}-{number}"
+                command = [sys.executable, "-m", "trainer.main", "train", "--run-id", run_id, "--results-dir", folder]
+                command += [
+                    "--c",
+                    str(c),
+                    "--steps",
+                    str(TRAIN_STEPS),
+                    "--base-port",
+                    str(port),
+                    "--eval-episodes",
+                    "1",
+                ]
+                run = subprocess.run(command, capture_output=True, text=True)
+                if run.returncode:
+                    raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
+                found.append(json.loads((Path(folder) / run_id / "summary.json").read_text())["steps_per_second"])
+    return [{"c": c, "preset": "fast", "steps_per_second": statistics.median(found)} for c, found in rates.items()]
+
+
+def _startup() -> dict[str, float]:
+    """Seconds until the player gives up a port where nobody listens, and until the trainer shows its help."""
+    player = launch_path(place(BUILTIN, 0)[0] or "")
+    commands = {
+        "corridor-server": [player, "--mlagents-port", "1", "--timeout-wait", "0"],
+        "corridor": [sys.executable, "-m", "trainer.main", "--help"],
+    }
+    seconds = {}
+    for name, command in commands.items():
+        found = []
+        for _ in range(3):
+            begun = time.perf_counter()
+            subprocess.run(command, capture_output=True)
+            found.append(time.perf_counter() - begun)
+        seconds[name] = statistics.median(found)
+    return seconds
+
+
+def _memory(port: int) -> dict[str, dict[str, float]]:
+    """Resident memory of the player and of this process, in MB, after 10^6 and 10^7 agent steps."""
+    environment = open_environment(
+        BUILTIN, seed=1, num_areas=MEMORY_AREAS, port=port, timeout_wait=30, side_channels=[StatsSideChannel()]
+    )
+    statistics_channel = environment._side_channel_manager._side_channels_dict[StatsSideChannel().channel_id]
+    environment.reset()
+    actions = np.zeros((MEMORY_AREAS, 2), np.float32)
+    found = {}
+    steps = 0
+    for name, goal in (("1e6", 10**6), ("1e7", 10**7)):
+        while steps < goal:
+            environment.set_actions(BEHAVIOR, ActionTuple(continuous=actions))
+            environment.step()
+            statistics_channel.get_and_reset_stats()
+            steps += MEMORY_AREAS
+        found[name] = {"player": _resident(environment._process.pid), "trainer": _resident(os.getpid())}
+    environment.close()
+    return found
+
+
+def _resident(process: int) -> float:
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20, 1)
+
+
+def _machine() -> dict[str, Any]:
+    packages = ("curious-corridor", "mlagents-envs", "grpcio", "protobuf", "numpy", "torch", "stable-baselines3")
+    return {
+        "cpus": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "versions": {package: version(package) for package in packages},
+    }
+
+
+def _print(report: dict[str, Any], console: Console) -> None:
+    table = Table(
+        "areas", "ours", "mlagents_envs", "official", "echo", "ours / 0.28.0", "ours / official", "ours / echo"
+    )
+    for row in report["exchange"]:
+        ratio = {name: row["ours"] / row[name] if row[name] else None for name in ("mlagents_envs", "official")}
+        cells = [row["ours"], row["mlagents_envs"], row["official"], row["echo"]]
+        table.add_row(
+            f"{row['areas']:,}",
+            *("-" if cell is None else f"{cell:,.0f}" for cell in cells),
+            *("-" if each is None else f"{each:.1f}" for each in ratio.values()),
+            f"{row['ours'] / row['areas'] / row['echo']:.0%}",
+        )
+    console.print("Exchange, agent steps a second (echo: bare round trips a second with the same payloads):")
+    console.print(table)
+    for row in report["world"]:
+        console.print(f"world in process, {row['areas']:>5,} areas: {row['steps_per_second']:>12,.0f} steps/s")
+    for row in report["train"]:
+        console.print(f"training, preset {row['preset']}, c = {row['c']:g}: {row['steps_per_second']:,.0f} steps/s")
+    for name, seconds in report["startup_seconds"].items():
+        console.print(f"{name} starts in {seconds:.2f} s")
+    for name, memory in report["memory_mb"].items():
+        console.print(f"after {name} agent steps: player {memory['player']} MB, trainer {memory['trainer']} MB")
+
+
+def _plot(report: dict[str, Any], path: Path) -> None:
+    figure = Figure(figsize=(7.0, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    lines = [("ours", "this trainer"), ("mlagents_envs", "mlagents-envs 0.28.0"), ("official", "mlagents-envs 1.1.0")]
+    for (name, label), colour in zip(lines, ("#e8850c", "#7b3fa0", "#555555"), strict=True):
+        points = [(row["areas"], row[name]) for row in report["exchange"] if row[name]]
+        if points:
+            axes.plot(*zip(*points, strict=True), marker="o", label=label, color=colour)
+    world = [(row["areas"], row["steps_per_second"]) for row in report["world"]]
+    axes.plot(*zip(*world, strict=True), linestyle=":", color="#3a8f5c", label="the world in process")
+    axes.set(xscale="log", yscale="log", xlabel="areas in one player", ylabel="agent steps a second")
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
