@@ -1,5 +1,7 @@
 """The vector path: slots, ends and SB3's contract, for players that order and number their agents as they like."""
 
+import sys
+
 import numpy as np
 import pytest
 from gymnasium import spaces
@@ -9,6 +11,7 @@ from scripted import Scripted, spec
 from stable_baselines3.common.vec_env import VecMonitor
 
 from trainer.errors import TrainerError
+from trainer.unity import open_environment
 from trainer.vec_env import UnityVecEnv
 
 CONTINUOUS = ActionSpec.create_continuous(1)
@@ -142,3 +145,37 @@ def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor):
                 observation, _ = each.reset()
             assert np.array_equal(observations[slot], observation)
     assert ended > 3
+
+
+PLAIN_PLAYER = """#!{python}
+import sys
+from corridor_server import columnar
+columnar.read_step = lambda *arguments: None  # reads as protobuf does
+import corridor_server.wire as wire
+output = wire.output
+def as_protobuf_writes(batch, side_channel, introduce, camera=None):
+    message = wire.UnityMessageProto.FromString(output(batch, side_channel, introduce, camera))
+    return message.SerializeToString()
+wire.output = as_protobuf_writes
+from corridor_server.main import main
+sys.exit(main())
+"""
+
+
+def test_a_player_that_writes_as_protobuf_does_is_read_the_same(tmp_path, free_port):
+    """Unity's messages have no rows of one length: the general parser takes them, to the same arrays."""
+    path = tmp_path / "player"
+    path.write_text(PLAIN_PLAYER.format(python=sys.executable))
+    path.chmod(0o755)
+    seen = []
+    for env in ("builtin", str(path)):
+        environment = open_environment(env, seed=6, num_areas=6, port=free_port, timeout_wait=30)
+        vec_env, generator = UnityVecEnv(environment), np.random.default_rng(0)
+        steps = [vec_env.reset()]
+        for _ in range(400):
+            observations, rewards, dones, _ = vec_env.step(generator.uniform(-1, 1, (6, 2)).astype(np.float32))
+            steps += [observations, rewards, dones]
+        vec_env.close()
+        seen.append(steps)
+    assert sum(step.sum() for step in seen[0][3::3]) > 0, "no episode ended"
+    assert all(np.array_equal(one, other) for one, other in zip(*seen, strict=True))

@@ -43,6 +43,7 @@ ROUNDS = 5
 SECONDS = 0.6
 TRAIN_STEPS = 400_000
 MEMORY_AREAS = 1024
+MEMORY_STEPS = {"1e6": 10**6, "1e7": 10**7}
 
 # A client in a process of its own: for every line it reads, it plays so many seconds and prints exchanges a second.
 _CLIENT = """
@@ -175,14 +176,21 @@ def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
 
 @contextmanager
 def _our_client(areas: int, port: int) -> Iterator[Any]:
-    environment = open_environment(
-        BUILTIN, seed=1, num_areas=areas, port=port, timeout_wait=30, side_channels=[StatsSideChannel()]
-    )
-    environment.reset()
-    try:
-        yield lambda: _rate(environment, areas, SECONDS)
-    finally:
-        environment.close()
+    with tempfile.TemporaryDirectory() as logs:
+        environment = open_environment(
+            BUILTIN,
+            seed=1,
+            num_areas=areas,
+            port=port,
+            timeout_wait=30,
+            log_folder=Path(logs),
+            side_channels=[StatsSideChannel()],
+        )
+        environment.reset()
+        try:
+            yield lambda: _rate(environment, areas, SECONDS)
+        finally:
+            environment.close()
 
 
 def _rate(environment: UnityEnvironment, areas: int, seconds: float) -> float:
@@ -274,23 +282,30 @@ def _startup() -> dict[str, float]:
 
 
 def _memory(port: int) -> dict[str, dict[str, float]]:
-    """Resident memory of the player and of this process, in MB, after 10^6 and 10^7 agent steps."""
-    environment = open_environment(
-        BUILTIN, seed=1, num_areas=MEMORY_AREAS, port=port, timeout_wait=30, side_channels=[StatsSideChannel()]
-    )
-    statistics_channel = environment._side_channel_manager._side_channels_dict[StatsSideChannel().channel_id]
-    environment.reset()
-    actions = np.zeros((MEMORY_AREAS, 2), np.float32)
+    """Resident memory of the player and of this process, in MB, after so many agent steps."""
+    statistics_channel = StatsSideChannel()
     found = {}
-    steps = 0
-    for name, goal in (("1e6", 10**6), ("1e7", 10**7)):
-        while steps < goal:
-            environment.set_actions(BEHAVIOR, ActionTuple(continuous=actions))
-            environment.step()
-            statistics_channel.get_and_reset_stats()
-            steps += MEMORY_AREAS
-        found[name] = {"player": _resident(environment._process.pid), "trainer": _resident(os.getpid())}
-    environment.close()
+    with tempfile.TemporaryDirectory() as logs:
+        environment = open_environment(
+            BUILTIN,
+            seed=1,
+            num_areas=MEMORY_AREAS,
+            port=port,
+            timeout_wait=30,
+            log_folder=Path(logs),
+            side_channels=[statistics_channel],
+        )
+        environment.reset()
+        actions = np.zeros((MEMORY_AREAS, 2), np.float32)
+        steps = 0
+        for name, goal in MEMORY_STEPS.items():
+            while steps < goal:
+                environment.set_actions(BEHAVIOR, ActionTuple(continuous=actions))
+                environment.step()
+                statistics_channel.get_and_reset_stats()
+                steps += MEMORY_AREAS
+            found[name] = {"player": _resident(environment._process.pid), "trainer": _resident(os.getpid())}
+        environment.close()
     return found
 
 

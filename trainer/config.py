@@ -124,8 +124,8 @@ class Preset:
 
 
 PRESETS: dict[PresetName, Preset] = {
-    # Small, frequent updates from many areas find the goal before the failure penalty teaches hiding; a discount factor
-    # near 1 makes putting failure off worth less (docs/calibration.md).
+    # Small, frequent updates find the goal before the failure penalty teaches hiding, and a discount factor near 1
+    # makes putting failure off worth less; many areas by few steps need few exchanges (docs/calibration.md).
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area, and the defaults of the Stable Baselines release that the paper used.
     "paper": Preset(
