@@ -169,3 +169,39 @@ def test_resuming_with_other_settings_lists_them(tmp_path):
         "train", "--run-id", "mine", "--results-dir", tmp_path, "--resume", "--seed", 5, "--c", 0.1,
         says=r"begun with other settings: curiosity.c 0.3 -> 0.1, seed 0 -> 5\.",
     )  # fmt: skip
+
+
+MID_RUN = """
+import numpy as np
+import corridor_server.wire as wire
+output, count = wire.output, []
+def output_going_bad(batch, side_channel, introduce, camera=None):
+    count.append(1)
+    if len(count) == 30:
+        {fault}
+    return output(batch, side_channel, introduce, camera)
+wire.output = output_going_bad
+from corridor_server.main import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ("return b'\\xff' * 9", "The player sent 9 bytes that are not a message of the ML-Agents protocol."),
+        (
+            "return b'\\x0a\\x03\\x08\\xc8\\x01\\xff'",
+            "The player sent 6 bytes that are not a message",
+        ),
+        ("batch.deciding.observations[3, 2] = np.nan", "The observations provided had NaN or infinite values."),
+        ("batch.deciding.rewards[0] = np.inf", "The rewards provided had NaN or infinite values."),
+        ("batch.deciding.ids[:] = 7", "1 of 8 agents asked for a decision, 0 of them new while 0 ended"),
+    ],
+)
+def test_a_player_that_goes_bad_in_mid_run_is_named_and_the_runs_data_kept(tmp_path, free_port, fault, says):
+    fails(
+        "train", "--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port, "--num-areas", 8,
+        "--env", player(tmp_path, MID_RUN.format(fault=fault)), says=says,
+    )  # fmt: skip
+    assert list((tmp_path / "r" / "checkpoints").glob("step-*.pt"))

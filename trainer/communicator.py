@@ -102,18 +102,18 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         first = self._receive(poll_callback)
         if first is None or self.exchange_bytes(_message(inputs), poll_callback) is None:
             raise UnityCommunicationException("The player broke the connection during the handshake.")
-        return _parse(first).unity_output
+        return parse(first).unity_output
 
     def exchange(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Sends a command and returns the player's answer, or None when the player has stopped."""
         data = self.exchange_bytes(_message(inputs), poll_callback)
-        return None if data is None else _parse(data).unity_output
+        return None if data is None else parse(data).unity_output
 
     def exchange_bytes(self, message: bytes, poll_callback: PollCallback | None = None) -> bytes | None:
         """Sends a serialised UnityMessageProto and returns the player's, or None when the player has stopped."""
         self._replies.put(message)
         data = self._receive(poll_callback)
-        if data is None or data.startswith(HEADER_OK) or _parse(data).header.status == OK:
+        if data is None or data.startswith(HEADER_OK) or parse(data).header.status == OK:
             return data
         return None
 
@@ -190,7 +190,12 @@ def _message(inputs: Any) -> bytes:
     return data
 
 
-def _parse(data: bytes) -> Any:
+def parse(data: bytes) -> Any:
+    """A player's message (UnityMessageProto).
+
+    Raises:
+        UnityCommunicationException: The bytes are none.
+    """
     try:
         return UnityMessageProto.FromString(data)
     except DecodeError as error:

@@ -23,12 +23,15 @@ from mlagents_envs.exception import (
 from mlagents_envs.side_channel.side_channel import SideChannel
 
 from corridor_server.columnar import AgentRows, read_output, write_step
-from corridor_server.messages import UnityMessageProto
-from trainer.communicator import ExchangeCommunicator
+from trainer.communicator import ExchangeCommunicator, parse
 from trainer.errors import TrainerError
 
 BUILTIN, EDITOR = "builtin", "editor"
 LOOPBACK = "localhost"
+
+
+class _BadNumbers(RuntimeError):
+    """Observations or rewards have NaN or Inf; a RuntimeError as in ``mlagents_envs``."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,12 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         super().reset()
         self._plain = _plain(self.behavior_specs)
 
+    def _update_state(self, output: Any) -> None:
+        try:
+            super()._update_state(output)
+        except RuntimeError as error:  # what mlagents_envs raises for NaN or Inf, and for nothing else
+            raise _BadNumbers(str(error)) from error
+
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
         plain = self._plain
@@ -93,7 +102,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             raise UnityCommunicatorStoppedException("Communicator has exited.")
         read = read_output(data, plain.behavior, plain.observation, plain.observation_size)
         if read is None:
-            output = UnityMessageProto.FromString(data).unity_output
+            output = parse(data).unity_output
             self._update_behavior_specs(output)
             self._update_state(output.rl_output)
             self._plain = _plain(self.behavior_specs)
@@ -119,7 +128,7 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
 def _steps(agents: AgentRows) -> tuple[DecisionSteps, TerminalSteps]:
     for values, source in ((agents.observations, "observations"), (agents.rewards, "rewards")):
         if not np.isfinite(values).all():
-            raise RuntimeError(f"The {source} provided had NaN or infinite values.")
+            raise _BadNumbers(f"The {source} provided had NaN or infinite values.")
     if not agents.done.any():
         nobody = agents.done.nonzero()[0]
         return _decision(agents, slice(None)), _terminal(agents, nobody)
@@ -200,7 +209,7 @@ def player_errors(log_folder: Path | None = None) -> Iterator[None]:
         raise TrainerError(f"The player stopped in the middle of the run.{_log_hint(log_folder)}") from error
     except UnityTimeOutException as error:
         raise TrainerError(f"{_sentence(error)} The player hangs or is too slow.{_log_hint(log_folder)}") from error
-    except UnityException as error:
+    except (UnityException, _BadNumbers) as error:
         raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder)}") from error
 
 

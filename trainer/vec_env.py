@@ -127,9 +127,9 @@ class UnityVecEnv(VecEnv):
             return
         agents = decision.agent_id.tolist()
         new = [agent for agent in agents if agent not in self._slots]
-        if len(new) != len(freed) or len(agents) != self.num_envs:
+        if len(new) != len(freed) or len(set(agents)) != self.num_envs:
             raise TrainerError(
-                f"{len(agents)} of {self.num_envs} agents asked for a decision, {len(new)} of them new while "
+                f"{len(set(agents))} of {self.num_envs} agents asked for a decision, {len(new)} of them new while "
                 f"{len(freed)} ended; the vector path needs a fixed number of agents that decide in step."
             )
         self._slots.update(zip(new, sorted(freed), strict=True))
