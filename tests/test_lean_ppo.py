@@ -83,6 +83,21 @@ def test_one_update_of_one_rollout_is_sb3s_to_rounding():
         assert float(mine["step"]) == float(its["step"])
 
 
+def test_sb3s_own_update_can_take_over():
+    theirs, ours = pair()
+    for model in (theirs, ours):
+        set_random_seed(7)
+        model.learn(2 * 32 * 4)
+    set_random_seed(8)
+    theirs.learn(32 * 4)
+    set_random_seed(8)
+    ours.collect_rollouts = PPO.collect_rollouts.__get__(ours)
+    ours.train = PPO.train.__get__(ours)
+    ours.learn(32 * 4)
+    for name, value in parameters(theirs).items():
+        assert torch.allclose(value, parameters(ours)[name], rtol=1e-4, atol=1e-5), name
+
+
 def test_rollouts_are_sb3s():
     theirs, ours = pair()
     for model in (theirs, ours):

@@ -3,16 +3,23 @@
 import csv
 import json
 import signal
+import socket
 import subprocess
 import time
 from pathlib import Path
 
+import gymnasium
 import pytest
 import yaml
 from conftest import BIN
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from trainer.errors import TrainerError
+from trainer.main import Train
 from trainer.results import PROGRESS_COLUMNS
+from trainer.training import build_stages
 
 TIMING = {"steps_per_second", "wall_seconds"}
 
@@ -39,7 +46,10 @@ def processes(port: int) -> str:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run of the default preset."""
     results = tmp_path_factory.mktemp("results")
-    done = train("short", results, 15005, "--steps", 40_000, "--num-areas", 16, "--eval-episodes", 20)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    done = train("short", results, port, "--steps", 40_000, "--num-areas", 16, "--eval-episodes", 20)
     assert done.returncode == 0, done.stderr
     return results / "short"
 
@@ -185,3 +195,25 @@ def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, 
     assert "Traceback" not in errors
     assert list((tmp_path / "dies" / "checkpoints").glob("step-*.pt"))
     assert rows(progress)
+
+
+def stages_on(env_id: str, c: float):
+    return build_stages(Train("any", c=c, num_areas=4).run_config(), make_vec_env(env_id, 4))
+
+
+@pytest.mark.parametrize("c", [0.0, 0.3])
+def test_environments_with_discrete_actions_train_too(c):
+    stages = stages_on("CartPole-v1", c)
+    stages.model.learn(128)
+    assert type(stages.model) is PPO
+
+
+def test_curiosity_on_branched_actions_says_what_to_do():
+    class Branched(gymnasium.ActionWrapper):
+        def __init__(self) -> None:
+            super().__init__(gymnasium.make("CartPole-v1"))
+            self.action_space = gymnasium.spaces.MultiDiscrete([2, 3])
+
+    config = Train("any", num_areas=4).run_config()
+    with pytest.raises(TrainerError, match=r"takes Box or Discrete actions.* --c 0"):
+        build_stages(config, make_vec_env(Branched, 4))

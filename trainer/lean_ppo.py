@@ -97,6 +97,7 @@ class LeanPPO(PPO):
                 batch = rows[order[start : start + self.batch_size]]
                 measures.append(networks.differentiate(batch, clip_range, clip_range_vf, self.ent_coef, self.vf_coef))
                 networks.descend(self.max_grad_norm)
+        networks.publish()
         self._n_updates += self.n_epochs
         policy_loss, value_loss, clip_fraction, approx_kl = np.mean(measures, axis=0).tolist()
         entropy = float((networks.log_std + np.float32(0.5) + LOG_SQRT_2_PI).sum())
@@ -135,7 +136,8 @@ class _Networks:
         if size != sum(parameter.numel() for parameter in policy.parameters()):
             raise ValueError("LeanPPO knows no shared or further layers; use PPO for this policy.")
         self._flat, self._gradient, self._moment, self._square = (np.zeros(size, np.float32) for _ in range(4))
-        self._step = torch.tensor(0.0)
+        self._step = 0
+        self._published_steps = [torch.tensor(0.0) for _ in self._parameters]
         for parameter, view in zip(self._parameters, self._views(self._flat), strict=True):
             view[...] = parameter.detach().numpy()
             parameter.data = torch.from_numpy(view)
@@ -149,17 +151,24 @@ class _Networks:
     def bind(self, optimizer: torch.optim.Optimizer) -> None:
         """Makes the optimiser's state views of the flat moments; takes over what it holds, after a load say."""
         first = optimizer.state[self._parameters[0]]
-        if first and first["step"] is self._step and self._optimizer is optimizer:
+        if first and first["step"] is self._published_steps[0] and self._optimizer is optimizer:
             return
         self._optimizer = optimizer
-        views = zip(self._parameters, self._views(self._moment), self._views(self._square), strict=True)
-        for parameter, moment, square in views:
+        moments, squares = self._views(self._moment), self._views(self._square)
+        for parameter, step, moment, square in zip(
+            self._parameters, self._published_steps, moments, squares, strict=True
+        ):
             state = optimizer.state[parameter]
             if state:
                 moment[...] = state["exp_avg"].numpy()
                 square[...] = state["exp_avg_sq"].numpy()
-                self._step.fill_(float(state["step"]))
-            state.update(step=self._step, exp_avg=torch.from_numpy(moment), exp_avg_sq=torch.from_numpy(square))
+                self._step = int(state["step"])
+            state.update(step=step, exp_avg=torch.from_numpy(moment), exp_avg_sq=torch.from_numpy(square))
+
+    def publish(self) -> None:
+        """Tells the optimiser how many steps were taken; everything else it sees already."""
+        for step in self._published_steps:
+            step.fill_(self._step)
 
     def act(self, observations: Floats) -> tuple[Floats, Floats, Floats]:
         """Samples actions, (n, actions); with their values and log probabilities, (n,)."""
@@ -243,12 +252,11 @@ class _Networks:
         if norm + 1e-6 > max_grad_norm:
             gradient *= np.float32(max_grad_norm / (norm + 1e-6))
         self._step += 1
-        step = self._step.item()
         self._moment += (gradient - self._moment) * np.float32(1.0 - beta1)
         self._square *= np.float32(beta2)
         self._square += np.square(gradient) * np.float32(1.0 - beta2)
-        denominator = np.sqrt(self._square) * np.float32(1.0 / math.sqrt(1.0 - beta2**step)) + np.float32(epsilon)
-        self._flat -= self._moment / denominator * np.float32(rate / (1.0 - beta1**step))
+        denominator = np.sqrt(self._square) * np.float32(1.0 / math.sqrt(1.0 - beta2**self._step)) + np.float32(epsilon)
+        self._flat -= self._moment / denominator * np.float32(rate / (1.0 - beta1**self._step))
 
     def _hidden(self, observations: Floats) -> tuple[Floats, Floats]:
         """Both hidden layers of both networks, (2, n, units): actor first."""

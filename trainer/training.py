@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
@@ -70,7 +72,7 @@ class Stages:
     player: VecEnv
     normaliser: VecNormalize
     curiosity: Curiosity | None
-    model: LeanPPO
+    model: PPO
 
 
 @contextmanager
@@ -106,6 +108,8 @@ def open_player(
     try:
         with player_errors(logs):
             yield _as_vec_env(config, environment, statistics)
+    except UnityGymException as error:
+        raise TrainerError(str(error)) from error
     finally:
         with uninterrupted():
             environment.close()
@@ -115,24 +119,29 @@ def _as_vec_env(config: RunConfig, environment: UnityEnvironment, statistics: St
     if not config.through_gym:
         vec_env = UnityVecEnv(environment, statistics)
         return vec_env, vec_env.behavior
-    try:
-        wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
-    except UnityGymException as error:
-        raise TrainerError(str(error)) from error
+    wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
     only_behavior(environment)
     return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)]), wrapper.name
 
 
 def build_stages(config: RunConfig, player: VecEnv) -> Stages:
-    """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment."""
+    """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment.
+
+    Raises:
+        TrainerError: Curiosity can't take the environment's observations or actions.
+    """
     torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
     ppo = config.ppo
     normaliser = ObservationNormaliser(VecMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
     top: VecEnv = normaliser
     curiosity = None
     if config.curiosity.c > 0:
-        top = curiosity = Curiosity(normaliser, config.curiosity, ppo.n_steps, config.seed)
-    model = LeanPPO(
+        try:
+            top = curiosity = Curiosity(normaliser, config.curiosity, ppo.n_steps, config.seed)
+        except ValueError as error:
+            raise TrainerError(f"{error} Or train without curiosity: --c 0.") from error
+    algorithm = LeanPPO if isinstance(player.action_space, spaces.Box) else PPO
+    model = algorithm(
         "MlpPolicy",
         top,
         n_steps=ppo.n_steps,
