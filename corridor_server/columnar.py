@@ -146,20 +146,9 @@ def write_output(behavior: str, name: str, agents: AgentRows, side_channel: byte
 
 def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[AgentRows, bytes] | None:
     """The agents and side-channel bytes of a message that ``write_output`` might have written; None for any other."""
-    reader = _Reader(data)
-    reader.expect(HEADER_OK)
-    reader.enter(FIELD_2)
-    reader.enter(FIELD_1)
-    entry_end = reader.enter(FIELD_2, inside=False)
-    key = reader.take(FIELD_1)
-    end = reader.enter(FIELD_2, inside=False)
-    start = reader.offset
-    reader.offset = end
-    side_channel = reader.take(FIELD_3) if not reader.failed and end < len(data) else b""
-    if reader.failed or end != entry_end or reader.offset != len(data) or key != behavior.encode():
-        return None
-    rows = _agent_rows(size, name).read(data, start, end)
-    if rows is None:
+    found = _find_rows(data, FIELD_2, FIELD_2, FIELD_3, behavior)
+    rows = None if found is None else _agent_rows(size, name).read(data, *found[:2])
+    if found is None or rows is None:
         return None
     groups = rows["id"].astype(np.int64)
     ids = groups[:, 0] & 0x7F
@@ -171,7 +160,7 @@ def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agent
         return None
     done, interrupted = flags.astype(np.bool_)
     agents = AgentRows(ids.astype(np.int32), rows["reward"].copy(), done, interrupted, rows["observation"].copy())
-    return agents, side_channel
+    return agents, found[2]
 
 
 def write_step(behavior: str, actions: NDArray[np.float32], side_channel: bytes) -> bytes:
@@ -187,23 +176,35 @@ def write_step(behavior: str, actions: NDArray[np.float32], side_channel: bytes)
 
 def read_step(data: bytes, behavior: str, size: int) -> tuple[NDArray[np.float32], bytes] | None:
     """The actions and side-channel bytes of a STEP as ``mlagents_envs`` or ``write_step`` writes it; None otherwise."""
-    reader = _Reader(data)
-    reader.expect(HEADER_OK)
-    reader.enter(FIELD_3)
-    reader.enter(FIELD_1)
-    entry_end = reader.enter(FIELD_1, inside=False)
-    key = reader.take(FIELD_1)
-    end = reader.enter(FIELD_2, inside=False)
-    start = reader.offset
-    reader.offset = end
-    side_channel = reader.take(FIELD_5) if not reader.failed and end < len(data) else b""
-    if reader.failed or end != entry_end or reader.offset != len(data) or key != behavior.encode():
+    found = _find_rows(data, FIELD_3, FIELD_1, FIELD_5, behavior)
+    if found is None:
         return None
     for deprecated in (True, False):
-        rows = _action_rows(size, deprecated).read(data, start, end)
+        rows = _action_rows(size, deprecated).read(data, *found[:2])
         if rows is not None:
-            return rows["action"].copy(), side_channel
+            return rows["action"].copy(), found[2]
     return None
+
+
+def _find_rows(
+    data: bytes, direction: bytes, rows_by_behavior: bytes, side_channel: bytes, behavior: str
+) -> tuple[int, int, bytes] | None:
+    """Where a message's rows start and end, and its side-channel bytes; None if it holds anything else.
+
+    Both directions have one form: header, then {direction {field 1 {map {behavior: rows}, side channel}}}.
+    """
+    reader = _Reader(data)
+    reader.expect(HEADER_OK)
+    reader.enter(direction)
+    reader.enter(FIELD_1)
+    entry_end = reader.enter(rows_by_behavior, inside=False)
+    key = reader.take(FIELD_1)
+    end = reader.enter(FIELD_2, inside=False)
+    start, reader.offset = reader.offset, end
+    beside = reader.take(side_channel) if not reader.failed and end < len(data) else b""
+    if reader.failed or end != entry_end or reader.offset != len(data) or key != behavior.encode():
+        return None
+    return start, end, beside
 
 
 class _Reader:

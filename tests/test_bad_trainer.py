@@ -31,6 +31,17 @@ class Player:
         self.trainer.reset()
         return self
 
+    def reach(self, at: str) -> "Player":
+        """Goes on until this message of the player's has come, and its reply is due."""
+        self.trainer.receive()
+        if at != "hello":
+            self.trainer.ask(initialization())
+        if at in ("reset", "step"):
+            self.trainer.reset()
+        if at == "step":
+            self.trainer.step(ONE)
+        return self
+
     def ends(self, code: int, says: str) -> None:
         assert self.process.wait(15) == code
         lines = self._log.read_text().splitlines()
@@ -79,28 +90,14 @@ def test_an_impossible_number_of_areas(player, areas):
 
 @pytest.mark.parametrize("at", ["hello", "acknowledgement", "reset", "step"])
 def test_status_400_at_every_point_is_an_orderly_end(player, at):
-    ours = player()
-    ours.trainer.receive()
-    if at != "hello":
-        ours.trainer.ask(initialization())
-    if at in ("reset", "step"):
-        ours.trainer.reset()
-    if at == "step":
-        ours.trainer.step(ONE)
+    ours = player().reach(at)
     ours.trainer.reply(stopping())
     assert ours.process.wait(15) == 0
 
 
 @pytest.mark.parametrize("at", ["hello", "acknowledgement", "reset", "step"])
 def test_a_connection_cut_at_every_point_says_so(player, at):
-    ours = player()
-    ours.trainer.receive()
-    if at != "hello":
-        ours.trainer.ask(initialization())
-    if at in ("reset", "step"):
-        ours.trainer.reset()
-    if at == "step":
-        ours.trainer.step(ONE)
+    ours = player().reach(at)
     ours.trainer.cut()
     ours.ends(1, "it stopped or was killed")
 
@@ -167,12 +164,7 @@ def test_side_channel_bytes_that_cant_be_read(player, buffer, says):
 
 @pytest.mark.parametrize("at", ["hello", "acknowledgement", "reset"])
 def test_bytes_that_are_no_message(player, at):
-    ours = player()
-    ours.trainer.receive()
-    if at != "hello":
-        ours.trainer.ask(initialization())
-    if at == "reset":
-        ours.trainer.reset()
+    ours = player().reach(at)
     ours.trainer.reply_bytes(b"\xff\xff\xff")
     ours.ends(1, "sent 3 bytes that are not a protocol message; is it an ML-Agents trainer?")
 

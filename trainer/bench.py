@@ -150,7 +150,8 @@ def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
     """Agent steps a second for each client, and round trips a second for an echo of the same payloads."""
     player = launch_path(place(BUILTIN, 0)[0] or "")
     with ExitStack() as stack:
-        measures: dict[str, Any] = {"ours": stack.enter_context(_our_client(areas, port))}
+        environment, _ = stack.enter_context(_our_client(areas, port))
+        measures: dict[str, Any] = {"ours": lambda: _rate(environment, areas, SECONDS)}
         children = {"mlagents_envs": (sys.executable, port + 1)}
         if official is not None:
             children["official"] = (official, port + 2)
@@ -175,7 +176,9 @@ def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
 
 
 @contextmanager
-def _our_client(areas: int, port: int) -> Iterator[Any]:
+def _our_client(areas: int, port: int) -> Iterator[tuple[UnityEnvironment, StatsSideChannel]]:
+    """This trainer's environment on the built-in player, after its first reset."""
+    channel = StatsSideChannel()
     with tempfile.TemporaryDirectory() as logs:
         environment = open_environment(
             BUILTIN,
@@ -184,11 +187,11 @@ def _our_client(areas: int, port: int) -> Iterator[Any]:
             port=port,
             timeout_wait=30,
             log_folder=Path(logs),
-            side_channels=[StatsSideChannel()],
+            side_channels=[channel],
         )
         environment.reset()
         try:
-            yield lambda: _rate(environment, areas, SECONDS)
+            yield environment, channel
         finally:
             environment.close()
 
@@ -283,29 +286,16 @@ def _startup() -> dict[str, float]:
 
 def _memory(port: int) -> dict[str, dict[str, float]]:
     """Resident memory of the player and of this process, in MB, after so many agent steps."""
-    statistics_channel = StatsSideChannel()
     found = {}
-    with tempfile.TemporaryDirectory() as logs:
-        environment = open_environment(
-            BUILTIN,
-            seed=1,
-            num_areas=MEMORY_AREAS,
-            port=port,
-            timeout_wait=30,
-            log_folder=Path(logs),
-            side_channels=[statistics_channel],
-        )
-        environment.reset()
-        actions = np.zeros((MEMORY_AREAS, 2), np.float32)
-        steps = 0
+    actions, steps = np.zeros((MEMORY_AREAS, 2), np.float32), 0
+    with _our_client(MEMORY_AREAS, port) as (environment, channel):
         for name, goal in MEMORY_STEPS.items():
             while steps < goal:
                 environment.set_actions(BEHAVIOR, ActionTuple(continuous=actions))
                 environment.step()
-                statistics_channel.get_and_reset_stats()
+                channel.get_and_reset_stats()
                 steps += MEMORY_AREAS
             found[name] = {"player": _resident(environment._process.pid), "trainer": _resident(os.getpid())}
-        environment.close()
     return found
 
 
