@@ -81,8 +81,8 @@ class Areas:
 
     def set_parameter(self, name: str, value: Value) -> None:
         """Sets an environment parameter for every episode that begins from now on (see ``EpisodeParameters.set``)."""
-        self.parameters.set(name, value)
-        self._begun_by_end[:] = False
+        if self.parameters.set(name, value):
+            self._begun_by_end[:] = False
 
     def reset(self) -> Batch:
         """Starts a new episode in every area.

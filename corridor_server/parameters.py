@@ -1,5 +1,6 @@
 """Environment parameters that change between episodes: fixed values and samplers, drawn at each episode's start."""
 
+import difflib
 import math
 from dataclasses import dataclass, fields
 
@@ -83,24 +84,32 @@ class EpisodeParameters:
         for row in range(len(areas)):
             self._derive(row)
 
-    def set(self, name: str, value: Value) -> None:
+    def set(self, name: str, value: Value) -> bool:
         """Sets a parameter for every episode that begins from now on.
+
+        Returns:
+            Whether that changes anything.
 
         Raises:
             ValueError: The name is unknown, or a value that the sampler can give is out of range.
         """
         limits = SETTABLE.get(name)
         if limits is None:
-            raise ValueError(f"{name!r} is not an environment parameter of the corridor that can be set.")
+            near = difflib.get_close_matches(name, SETTABLE, n=1, cutoff=0.0)[0]
+            low, high = SETTABLE[near]
+            raise ValueError(
+                f"{name!r} is not an environment parameter of the corridor; the nearest is {near}, {low:g} to {high:g}."
+            )
         low, high = limits
         for extreme in _extremes(value):
             if not low <= extreme <= high:  # also refuses NaN
                 raise ValueError(f"{name} = {extreme:g} is out of its range, {low:g} to {high:g}.")
         if self._values.get(name) == value:
-            return
+            return False
         self._values[name] = value
         if not isinstance(value, float):
             self._generators[name] = [area_generator(value.seed, area) for area in self._areas]
+        return True
 
     def draw(self, row: int) -> None:
         """Gives the area in this row its parameters for a new episode."""

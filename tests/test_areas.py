@@ -82,6 +82,15 @@ def test_a_parameter_set_after_an_end_reaches_the_next_reset():
     assert corridor.reset().deciding.observations[:, 4] == pytest.approx(0.5)
 
 
+def test_a_parameter_that_is_set_again_to_the_same_changes_nothing():
+    corridor = areas(max_episode_steps=1)
+    corridor.set_parameter("goal_x", 5.0)
+    corridor.reset()
+    begun = corridor.step(IDLE).deciding
+    corridor.set_parameter("goal_x", 5.0)
+    assert np.array_equal(corridor.reset().deciding.ids, begun.ids)
+
+
 def test_a_ranges_own_name_sets_both_its_ends():
     corridor = areas()
     corridor.set_parameter("agent_spawn_x", -3.5)
@@ -113,7 +122,7 @@ def test_samplers_draw_anew_for_every_episode_and_area(sampler, low, high):
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
-        ("gaol_x", 1.0, "'gaol_x' is not an environment parameter"),
+        ("gaol_x", 1.0, "is not an environment parameter of the corridor; the nearest is goal_x, -1000 to 1000."),
         ("num_opponents", 2.0, "'num_opponents' is not an environment parameter"),
         ("agent_speed", -1.0, "agent_speed = -1 is out of its range, 0 to 100"),
         ("agent_speed", float("nan"), "out of its range"),

@@ -228,4 +228,5 @@ def test_a_reset_command_with_an_unknown_parameter_goes_on(player, tmp_path):
     ours.trainer.reply(command(QUIT))
     assert ours.process.wait(15) == 0
     log = (tmp_path / "player.log").read_text()
-    assert r"'no\nsuch' is not an environment parameter of the corridor that can be set. It was ignored." in log
+    assert r"'no\nsuch' is not an environment parameter of the corridor; the nearest is" in log
+    assert "It was ignored." in log
