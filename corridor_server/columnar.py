@@ -19,6 +19,10 @@ LARGEST_ID = 2**31 - 1
 HEADER_OK = b"\x0a\x03\x08\xc8\x01"  # UnityMessageProto.header { status: 200 }
 # Tags of length-delimited fields, (number << 3) | 2.
 FIELD_1, FIELD_2, FIELD_3, FIELD_5 = b"\x0a", b"\x12", b"\x1a", b"\x2a"
+# An id's five groups of seven bits, lowest first: all but the last are marked as continued, the last has three bits.
+_SHIFTS = np.array([0, 7, 14, 21, 28], np.int32)
+_CONTINUED = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
+_GROUP_LIMITS = np.array([0x7F, 0x7F, 0x7F, 0x7F, 7], np.uint8)
 # An example's values, found again in its bytes: where each column lies.
 _REWARD = np.float32(1.2345e-33).tobytes()
 
@@ -136,9 +140,7 @@ def write_output(behavior: str, name: str, agents: AgentRows, side_channel: byte
     rows["done"] = agents.done
     rows["interrupted"] = agents.interrupted
     rows["observation"] = agents.observations
-    ids = agents.ids.astype(np.uint32)
-    for place in range(5):
-        rows["id"][:, place] = (ids >> np.uint32(7 * place)) & 0x7F | (0x80 if place < 4 else 0)
+    rows["id"] = (agents.ids[:, None] >> _SHIFTS) & 0x7F | _CONTINUED
     entry = _field(FIELD_1, behavior.encode()) + _field(FIELD_2, rows.tobytes())
     rl_output = _field(FIELD_2, entry) + (_field(FIELD_3, side_channel) if side_channel else b"")
     return HEADER_OK + _field(FIELD_2, _field(FIELD_1, rl_output))
@@ -150,16 +152,12 @@ def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agent
     rows = None if found is None else _agent_rows(size, name).read(data, *found[:2])
     if found is None or rows is None:
         return None
-    groups = rows["id"].astype(np.int64)
-    ids = groups[:, 0] & 0x7F
-    for place in range(1, 5):
-        ids |= (groups[:, place] & 0x7F) << (7 * place)
-    flags = np.stack([rows["done"], rows["interrupted"]])
-    lead = groups[:, :4] >= 0x80
-    if flags.max(initial=0) > 1 or not lead.all() or groups[:, 4].max(initial=0) > 7:
+    groups, done, interrupted = rows["id"], rows["done"], rows["interrupted"]
+    if len(rows) and (((groups ^ _CONTINUED) > _GROUP_LIMITS).any() or max(done.max(), interrupted.max()) > 1):
         return None
-    done, interrupted = flags.astype(np.bool_)
-    agents = AgentRows(ids.astype(np.int32), rows["reward"].copy(), done, interrupted, rows["observation"].copy())
+    ids = ((groups & 0x7F) << _SHIFTS).sum(axis=1, dtype=np.int32)
+    reward, observation = rows["reward"].copy(), rows["observation"].copy()
+    agents = AgentRows(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), observation)
     return agents, found[2]
 
 
