@@ -147,7 +147,7 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
         n_steps=ppo.n_steps,
         batch_size=ppo.n_steps * player.num_envs // ppo.minibatches,
         n_epochs=ppo.epochs,
-        learning_rate=ppo.learning_rate,
+        learning_rate=(lambda remaining: ppo.learning_rate * remaining) if ppo.anneal else ppo.learning_rate,
         gamma=ppo.gamma,
         gae_lambda=ppo.gae_lambda,
         clip_range=ppo.clip_range,
