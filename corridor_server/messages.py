@@ -41,7 +41,6 @@ def _message(module: str, name: str) -> Any:
 
 
 UnityMessageProto = _message("unity_message_pb2", "UnityMessageProto")
-UnityRLOutputProto = _message("unity_rl_output_pb2", "UnityRLOutputProto")
 AgentInfoProto = _message("agent_info_pb2", "AgentInfoProto")
 AgentActionProto = _message("agent_action_pb2", "AgentActionProto")
 STEP, RESET, QUIT = (MODULES["command_pb2"].CommandProto.Value(name) for name in ("STEP", "RESET", "QUIT"))

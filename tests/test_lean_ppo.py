@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
@@ -107,7 +106,7 @@ def test_rollouts_are_sb3s():
         assert np.allclose(getattr(theirs.rollout_buffer, name), getattr(ours.rollout_buffer, name), atol=1e-6), name
 
 
-def test_a_truncated_episode_is_bootstrapped_and_a_terminated_one_is_not():
+def test_a_truncated_episode_is_bootstrapped():
     _, ours = pair(gamma=0.5)
     ours.learn(32 * 4)
     starts = ours.rollout_buffer.episode_starts[1:]
@@ -133,4 +132,3 @@ def test_another_form_of_policy_is_refused():
         LeanPPO("MlpPolicy", corridor(1), policy_kwargs={"net_arch": [8]})
     with pytest.raises(ValueError, match="takes Box actions"):
         LeanPPO("MlpPolicy", make_vec_env("CartPole-v1", 1))
-    assert isinstance(gymnasium.make("CartPole-v1").action_space, spaces.Discrete)

@@ -96,7 +96,6 @@ class _Child:
 
     def __init__(self, python: str, program: str, *arguments: object) -> None:
         command = [python, "-c", program, *map(str, arguments)]
-        # Not in a shell's session: a Ctrl-C is ours to handle.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )

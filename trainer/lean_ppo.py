@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO with less overhead: the same updates, to rounding, in a fifth of the time.
+"""Stable-Baselines3's PPO with less overhead: the same updates, to rounding, in a fraction of the time.
 
 With networks this small, most of SB3's time is bookkeeping of Python and autograd for each minibatch. Here actor and
 critic, which have the same hidden layers, go through one batched product a layer, the gradient is written out, and Adam
