@@ -1,5 +1,7 @@
 """Curiosity: eq. 6 by hand, both readings of an ended episode's next state, and what it learns."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,9 @@ from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from trainer.config import CuriosityConfig
-from trainer.curiosity import Curiosity, IntrinsicCuriosityModule
+from trainer.curiosity import Curiosity
+from trainer.icm import IntrinsicCuriosityModule
+from trainer.networks import Adam, Network
 
 BOX = spaces.Box(-1, 1, (2,), np.float32)
 VECTOR = spaces.Box(-np.inf, np.inf, (2,), np.float32)
@@ -47,28 +51,75 @@ class Counting(VecEnv):
         return [False, False]
 
 
-def linear(weight: list[list[float]]) -> torch.nn.Sequential:
-    layer = torch.nn.Linear(len(weight[0]), len(weight), bias=False)
-    layer.weight.data = torch.tensor(weight)
-    return torch.nn.Sequential(layer)
+def module(observations: int = 2, action_space: spaces.Space = BOX, **config) -> IntrinsicCuriosityModule:
+    return IntrinsicCuriosityModule(observations, action_space, CuriosityConfig(**config), np.random.default_rng(0))
+
+
+def fill(network: Network, w1: list[list[float]], w2: list[list[float]]) -> None:
+    network.w1[...], network.w2[...] = w1, w2
+    network.b1[...] = network.b2[...] = 0.0
 
 
 def test_eq_6_and_both_losses_by_hand():
-    """phi = 2s; predicted phi' = phi + a; predicted a = phi' - phi."""
-    module = IntrinsicCuriosityModule(2, BOX, CuriosityConfig(feature_size=2, forward_weight=0.2))
-    identity = [[1.0, 0.0], [0.0, 1.0]]
-    module.encoder = linear([[2.0, 0.0], [0.0, 2.0]])
-    module.forward_model = linear([a + b for a, b in zip(identity, identity, strict=True)])
-    minus = [[-1.0, 0.0], [0.0, -1.0]]
-    module.inverse_model = linear([a + b for a, b in zip(minus, identity, strict=True)])
-    s, a, s_next = torch.tensor([[1.0, 2.0]]), torch.tensor([[0.5, -0.5]]), torch.tensor([[2.0, 2.0]])
-    # phi = (2, 4), phi' = (4, 4), predicted phi' = (2.5, 3.5): 1/2 (1.5^2 + 0.5^2) = 1.25
-    assert module.intrinsic_reward(s, a, s_next).tolist() == [1.25]
-    forward_error, inverse_error = module.errors(s, a, s_next)
-    assert forward_error.tolist() == [1.25]
-    # predicted a = (2, 0): mean of (1.5^2, 0.5^2) = 1.25
-    assert inverse_error.tolist() == [1.25]
-    assert module.loss(torch.tensor([2.0]), torch.tensor([1.0])).item() == pytest.approx(0.2 * 2 + 0.8 * 1)
+    """phi = 2 tanh(s); predicted phi' = 3 tanh(phi / 2 + a); predicted a = tanh(phi' - phi)."""
+    icm = module(1, spaces.Box(-1, 1, (1,), np.float32), feature_size=1, hidden_size=1, forward_weight=0.2)
+    fill(icm.encoder, [[1.0]], [[2.0]])
+    fill(icm.forward_model, [[0.5, 1.0]], [[3.0]])
+    fill(icm.inverse_model, [[-1.0, 1.0]], [[1.0]])
+    s, a, s_next = (np.array([[x]], np.float32) for x in (0.5, -0.25, 1.0))
+    phi, next_phi = 2 * math.tanh(0.5), 2 * math.tanh(1.0)
+    r_i = 0.5 * (3 * math.tanh(phi / 2 - 0.25) - next_phi) ** 2
+    assert icm.intrinsic_reward(s, a, s_next) == pytest.approx([r_i])
+    forward_loss, inverse_loss = icm.differentiate(s, a, s_next)
+    assert forward_loss == pytest.approx(r_i)
+    assert inverse_loss == pytest.approx((math.tanh(next_phi - phi) + 0.25) ** 2)
+
+
+@pytest.mark.parametrize("action_space", [BOX, spaces.Discrete(3)])
+def test_the_gradient_is_autograds(action_space):
+    icm, rng = module(5, action_space, forward_weight=0.3), np.random.default_rng(1)
+    s, s_next = rng.normal(size=(2, 7, 5)).astype(np.float32)
+    discrete = isinstance(action_space, spaces.Discrete)
+    a = (rng.integers(3, size=(7, 1)) if discrete else rng.uniform(-1, 1, (7, 2))).astype(np.float32)
+    losses = icm.differentiate(s, a, s_next)
+
+    weights = {
+        network: [torch.tensor(each, requires_grad=True) for each in (network.w1, network.b1, network.w2, network.b2)]
+        for network in (icm.encoder, icm.inverse_model, icm.forward_model)
+    }
+
+    def apply(network: Network, inputs: torch.Tensor) -> torch.Tensor:
+        w1, b1, w2, b2 = weights[network]
+        return torch.tanh(inputs @ w1.T + b1) @ w2.T + b2
+
+    phi, next_phi = apply(icm.encoder, torch.tensor(s)), apply(icm.encoder, torch.tensor(s_next))
+    guess, taken = apply(icm.inverse_model, torch.cat([phi, next_phi], dim=1)), torch.tensor(a)
+    if discrete:
+        inverse = torch.nn.functional.cross_entropy(guess, taken.long().flatten())
+        taken = torch.nn.functional.one_hot(taken.long().flatten(), 3).float()
+    else:
+        inverse = (guess - taken).square().mean()
+    error = apply(icm.forward_model, torch.cat([phi, taken], dim=1)) - next_phi
+    forward = 0.5 * error.square().sum(dim=1).mean()
+    (0.3 * forward + 0.7 * inverse).backward()
+
+    assert losses == pytest.approx((forward.item(), inverse.item()), rel=1e-5)
+    expected = torch.cat([weight.grad.flatten() for each in weights.values() for weight in each]).numpy()
+    assert icm.adam.gradient == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    rewards = icm.intrinsic_reward(s, a, s_next)
+    assert rewards == pytest.approx(0.5 * error.detach().square().sum(dim=1).numpy(), rel=1e-5)
+
+
+def test_adam_is_torchs():
+    ours, weights = Adam(3), torch.tensor([1.0, -2.0, 3.0], requires_grad=True)
+    ours.parameters[:] = weights.detach().numpy()
+    theirs = torch.optim.Adam([weights], lr=0.1, betas=(0.8, 0.9), eps=1e-3)
+    for gradient in ([1.0, -0.5, 0.0], [0.1, 2.0, 0.0], [-3.0, 0.0, 1e-3]):
+        ours.gradient[:] = gradient
+        weights.grad = torch.tensor(gradient)
+        ours.descend(0.1, (0.8, 0.9), 1e-3)
+        theirs.step()
+        assert ours.parameters == pytest.approx(weights.detach().numpy(), rel=1e-5)
 
 
 def test_the_reward_is_c_times_scale_times_r_i_on_top_of_the_extrinsic():
@@ -78,9 +129,8 @@ def test_the_reward_is_c_times_scale_times_r_i_on_top_of_the_extrinsic():
     added = [stage.step(actions)[1] - [0.0, 1.0] for stage in (weak, strong)]
     assert (added[0] > 0).all()
     assert added[1] == pytest.approx(4 * added[0], rel=1e-4)
-    r_i = weak.module.intrinsic_reward(
-        torch.tensor([[0.0, 0.0], [1.0, 0.0]]), torch.zeros(2, 2), torch.tensor([[0.0, 1.0], [1.0, 1.0]])
-    ).numpy()
+    s, s_next = np.array([[[0, 0], [1, 0]], [[0, 1], [1, 1]]], np.float32)
+    r_i = weak.module.intrinsic_reward(s, actions, s_next)
     assert added[0] == pytest.approx(0.1 * 0.5 * r_i, rel=1e-4)
 
 
@@ -118,27 +168,17 @@ def test_what_is_seen_again_and_again_stops_being_rewarding():
 
 
 def test_the_inverse_model_learns_which_action_was_taken():
-    module = IntrinsicCuriosityModule(2, BOX, CuriosityConfig())
-    optimizer = torch.optim.Adam(module.parameters(), lr=1e-2)
-    generator = torch.Generator().manual_seed(0)
+    icm, rng = module(learning_rate=1e-2), np.random.default_rng(0)
     for _ in range(400):
-        s, a = torch.randn(128, 2, generator=generator), torch.rand(128, 2, generator=generator) * 2 - 1
-        errors = module.errors(s, a, s + 0.5 * a)
-        optimizer.zero_grad()
-        module.loss(*errors).backward()
-        optimizer.step()
-    assert errors[1].mean() < 0.02
+        s, a = rng.normal(size=(128, 2)).astype(np.float32), rng.uniform(-1, 1, (128, 2)).astype(np.float32)
+        losses = icm.learn(s, a, s + np.float32(0.5) * a)
+    assert losses["inverse_loss"] < 0.02
 
 
-def test_equal_seeds_give_equal_modules_and_leave_torchs_generator_alone():
-    torch.manual_seed(5)
-    first = Curiosity(Counting(), CuriosityConfig(), 4, seed=3)
-    second = Curiosity(Counting(), CuriosityConfig(), 4, seed=3)
-    for a, b in zip(first.module.parameters(), second.module.parameters(), strict=True):
-        assert torch.equal(a, b)
-    drawn = torch.rand(1)
-    torch.manual_seed(5)
-    assert torch.equal(drawn, torch.rand(1))
+def test_equal_seeds_give_equal_modules():
+    first, second, other = (Curiosity(Counting(), CuriosityConfig(), 4, seed=seed) for seed in (3, 3, 4))
+    assert np.array_equal(first.module.adam.parameters, second.module.adam.parameters)
+    assert not np.array_equal(first.module.adam.parameters, other.module.adam.parameters)
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])

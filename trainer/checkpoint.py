@@ -30,8 +30,9 @@ def save_checkpoint(
         },
     }
     if curiosity is not None:
-        state["curiosity"] = curiosity.module.state_dict()
-        state["curiosity_optimizer"] = curiosity.optimizer.state_dict()
+        state["curiosity"] = {
+            name: torch.from_numpy(array) for name, array in curiosity.module.adam.state_dict().items()
+        }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"step-{model.num_timesteps:010d}.pt"
     temporary = path.with_suffix(".tmp")
@@ -79,8 +80,7 @@ def load_checkpoint(path: Path, model: PPO, normaliser: VecNormalize, curiosity:
         model.policy.load_state_dict(state["policy"])
         model.policy.optimizer.load_state_dict(state["optimizer"])
         if curiosity is not None:
-            curiosity.module.load_state_dict(state["curiosity"])
-            curiosity.optimizer.load_state_dict(state["curiosity_optimizer"])
+            curiosity.module.adam.load_state_dict({name: tensor.numpy() for name, tensor in state["curiosity"].items()})
     except (KeyError, RuntimeError, ValueError) as error:
         raise TrainerError(
             f"The checkpoint {path} is for other settings: {' '.join(str(error).split())[:300]}"

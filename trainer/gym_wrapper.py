@@ -204,6 +204,8 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
 class EpisodeStatistics(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     """Adds what the player reported of an ended episode to its last info, as ``statistics`` and ``is_success``.
 
+    The info's ``step`` goes: Stable-Baselines3's ``DummyVecEnv`` would copy it at every step.
+
     Args:
         env: The environment of one agent.
         channel: The statistics channel that the player's environment was opened with.
@@ -216,6 +218,7 @@ class EpisodeStatistics(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Steps the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
+        del info["step"]
         received = self._channel.get_and_reset_stats()
         if terminated or truncated:
             info.update(episode_info({name: values[-1][0] for name, values in received.items()}))

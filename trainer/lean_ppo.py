@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
@@ -21,7 +20,8 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-Floats = NDArray[np.float32]
+from trainer.networks import Adam, Floats
+
 LOG_SQRT_2_PI = np.float32(0.5 * math.log(2.0 * math.pi))
 
 
@@ -117,8 +117,7 @@ class LeanPPO(PPO):
 class _Networks:
     """Actor and critic side by side: parameters, gradients and Adam's moments as views of flat vectors.
 
-    In NumPy, whose float32 tanh and small products take a fraction of torch's time on a CPU; torch's parameters are
-    views of the same memory.
+    Torch's parameters are views of the same memory.
     """
 
     def __init__(self, policy: ActorCriticPolicy, action_space: spaces.Space[Any]) -> None:
@@ -135,16 +134,15 @@ class _Networks:
         size = sum(parameter.numel() for parameter in self._parameters)
         if size != sum(parameter.numel() for parameter in policy.parameters()):
             raise ValueError("LeanPPO knows no shared or further layers; use PPO for this policy.")
-        self._flat, self._gradient, self._moment, self._square = (np.zeros(size, np.float32) for _ in range(4))
-        self._step = 0
+        self._adam = Adam(size)
         self._published_steps = [torch.tensor(0.0) for _ in self._parameters]
-        for parameter, view in zip(self._parameters, self._views(self._flat), strict=True):
+        for parameter, view in zip(self._parameters, self._views(self._adam.parameters), strict=True):
             view[...] = parameter.detach().numpy()
             parameter.data = torch.from_numpy(view)
-        self._w1, self._b1, self._w2, self._b2 = self._stacked(self._flat)
-        self._gw1, self._gb1, self._gw2, self._gb2 = self._stacked(self._gradient)
-        *_, self._gwa, self._gba, self._gwv, self._gbv, self._g_log_std = self._views(self._gradient)
-        *_, self._wa, self._ba, self._wv, self._bv, self.log_std = self._views(self._flat)
+        self._w1, self._b1, self._w2, self._b2 = self._stacked(self._adam.parameters)
+        self._gw1, self._gb1, self._gw2, self._gb2 = self._stacked(self._adam.gradient)
+        *_, self._gwa, self._gba, self._gwv, self._gbv, self._g_log_std = self._views(self._adam.gradient)
+        *_, self._wa, self._ba, self._wv, self._bv, self.log_std = self._views(self._adam.parameters)
         self.observation_size, self.action_size = self._parameters[0].shape[1], action.out_features
         self._optimizer: torch.optim.Optimizer | None = None
 
@@ -154,7 +152,7 @@ class _Networks:
         if first and first["step"] is self._published_steps[0] and self._optimizer is optimizer:
             return
         self._optimizer = optimizer
-        moments, squares = self._views(self._moment), self._views(self._square)
+        moments, squares = self._views(self._adam.moment), self._views(self._adam.square)
         for parameter, step, moment, square in zip(
             self._parameters, self._published_steps, moments, squares, strict=True
         ):
@@ -162,13 +160,13 @@ class _Networks:
             if state:
                 moment[...] = state["exp_avg"].numpy()
                 square[...] = state["exp_avg_sq"].numpy()
-                self._step = int(state["step"])
+                self._adam.steps = int(state["step"])
             state.update(step=step, exp_avg=torch.from_numpy(moment), exp_avg_sq=torch.from_numpy(square))
 
     def publish(self) -> None:
         """Tells the optimiser how many steps were taken; everything else it sees already."""
         for step in self._published_steps:
-            step.fill_(self._step)
+            step.fill_(self._adam.steps)
 
     def act(self, observations: Floats) -> tuple[Floats, Floats, Floats]:
         """Samples actions, (n, actions); with their values and log probabilities, (n,)."""
@@ -246,17 +244,11 @@ class _Networks:
         """Limits the gradient's norm and takes one step of Adam, with the bound optimiser's settings."""
         assert self._optimizer is not None
         group = self._optimizer.param_groups[0]
-        (beta1, beta2), rate, epsilon = group["betas"], group["lr"], group["eps"]
-        gradient = self._gradient
+        gradient = self._adam.gradient
         norm = math.sqrt(float(gradient @ gradient))
         if norm + 1e-6 > max_grad_norm:
             gradient *= np.float32(max_grad_norm / (norm + 1e-6))
-        self._step += 1
-        self._moment += (gradient - self._moment) * np.float32(1.0 - beta1)
-        self._square *= np.float32(beta2)
-        self._square += np.square(gradient) * np.float32(1.0 - beta2)
-        denominator = np.sqrt(self._square) * np.float32(1.0 / math.sqrt(1.0 - beta2**self._step)) + np.float32(epsilon)
-        self._flat -= self._moment / denominator * np.float32(rate / (1.0 - beta1**self._step))
+        self._adam.descend(group["lr"], group["betas"], group["eps"])
 
     def _hidden(self, observations: Floats) -> tuple[Floats, Floats]:
         """Both hidden layers of both networks, (2, n, units): actor first."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
 
 from trainer.checkpoint import latest_checkpoint, load_checkpoint, save_checkpoint
@@ -59,7 +60,18 @@ class Counters:
 
 
 class ObservationNormaliser(VecNormalize):
-    """``VecNormalize`` that does not follow the return's variance, which only ``norm_reward`` needs."""
+    """``VecNormalize`` without what a vector observation's eq. 7 does not need.
+
+    It doesn't follow the return's variance, which is for ``norm_reward``, and makes no copy beforehand.
+    """
+
+    def normalize_obs(self, obs: Any) -> NDArray[np.float32]:
+        """Eq. 7: (n, size) observations less their running mean, over their running deviation, limited to +-10."""
+        statistics = self.obs_rms
+        assert isinstance(statistics, RunningMeanStd)  # one vector observation
+        scaled = (obs - statistics.mean) / np.sqrt(statistics.var + self.epsilon)
+        limited: NDArray[np.float32] = np.minimum(np.maximum(scaled, -self.clip_obs), self.clip_obs).astype(np.float32)
+        return limited
 
     def _update_reward(self, reward: NDArray[np.float64]) -> None:
         pass
