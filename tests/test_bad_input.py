@@ -71,13 +71,17 @@ def test_an_option_out_of_its_range(tmp_path, options, says):
 
 
 def test_a_missing_executable(tmp_path):
-    fails("train", "--run-id", "r", "--results-dir", tmp_path, "--env", tmp_path / "Corridor", says="Couldn't launch")
+    fails(
+        "train", "--run-id", "r", "--results-dir", tmp_path, "--env", tmp_path / "Corridor", says="There is no player"
+    )
 
 
 def test_an_executable_without_permission(tmp_path):
     path = player(tmp_path, "")
     path.chmod(0o644)
-    fails("train", "--run-id", "r", "--results-dir", tmp_path, "--env", path, says="permissions are set correctly")
+    fails(
+        "train", "--run-id", "r", "--results-dir", tmp_path, "--env", path, says="may not be executed; run 'chmod \\+x"
+    )
 
 
 def test_a_port_in_use(tmp_path, free_port):

@@ -181,7 +181,7 @@ def test_ctrl_c_saves_and_leaves_nothing_behind_and_resume_goes_on(tmp_path, fre
 def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, free_port):
     process = subprocess.Popen(
         [str(BIN / "corridor"), "train", "--run-id", "dies", "--results-dir", str(tmp_path), "--base-port",
-         str(free_port), "--num-areas", "8"],
+         str(free_port), "--num-areas", "8", "--max-lifetime-restarts", "0"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     progress = tmp_path / "dies" / "progress.csv"
@@ -192,6 +192,7 @@ def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, 
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "Environment shut down with return code -9 (SIGKILL)." in errors
+    assert "is not started again: --max-lifetime-restarts allows 0." in errors
     assert "Traceback" not in errors
     assert list((tmp_path / "dies" / "checkpoints").glob("step-*.pt"))
     assert rows(progress)

@@ -100,18 +100,26 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
     def initialize(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Waits for the player's first message, answers it, and returns what it said."""
         first = self._receive(poll_callback)
-        if first is None or self.exchange_bytes(_message(inputs), poll_callback) is None:
+        if first is None or self.exchange_bytes(serialise(inputs), poll_callback) is None:
             raise UnityCommunicationException("The player broke the connection during the handshake.")
         return parse(first).unity_output
 
     def exchange(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Sends a command and returns the player's answer, or None when the player has stopped."""
-        data = self.exchange_bytes(_message(inputs), poll_callback)
+        data = self.exchange_bytes(serialise(inputs), poll_callback)
         return None if data is None else parse(data).unity_output
 
     def exchange_bytes(self, message: bytes, poll_callback: PollCallback | None = None) -> bytes | None:
         """Sends a serialised UnityMessageProto and returns the player's, or None when the player has stopped."""
+        self.send(message)
+        return self.receive(poll_callback)
+
+    def send(self, message: bytes) -> None:
+        """Sends a serialised UnityMessageProto, and does not wait for the answer."""
         self._replies.put(message)
+
+    def receive(self, poll_callback: PollCallback | None = None) -> bytes | None:
+        """The player's answer to what was sent, serialised, or None when the player has stopped."""
         data = self._receive(poll_callback)
         if data is None or data.startswith(HEADER_OK) or parse(data).header.status == OK:
             return data
@@ -182,7 +190,8 @@ class _DaemonPool(Executor):
             call()
 
 
-def _message(inputs: Any) -> bytes:
+def serialise(inputs: Any) -> bytes:
+    """The message (a serialised UnityMessageProto) around a UnityInputProto."""
     message = UnityMessageProto()
     message.header.status = OK
     message.unity_input.CopyFrom(inputs)

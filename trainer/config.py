@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 PAPER_STEPS = 1_500_000
 PresetName = Literal["fast", "paper"]
@@ -71,6 +71,51 @@ class CuriosityConfig:
 
 
 @dataclass(frozen=True)
+class EngineConfig:
+    """Unity's engine settings, with the defaults of ``mlagents-learn``; our corridor has no engine and ignores them.
+
+    Attributes:
+        width: Of the window, in pixels.
+        height: Of the window, in pixels.
+        quality_level: ``QualitySettings.SetQualityLevel``.
+        time_scale: ``Time.timeScale``: simulated seconds in a second, where the machine keeps up.
+        target_frame_rate: ``Application.targetFrameRate``; -1 is as fast as can be.
+        capture_frame_rate: ``Time.captureFramerate``.
+    """
+
+    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
+        "width": (1, 16384),
+        "height": (1, 16384),
+        "quality_level": (0, 100),
+        "time_scale": (0.01, 100.0),  # Unity refuses more
+        "target_frame_rate": (-1, 10000),
+        "capture_frame_rate": (0, 10000),
+    }
+
+    width: int = 84
+    height: int = 84
+    quality_level: int = 5
+    time_scale: float = 20.0
+    target_frame_rate: int = -1
+    capture_frame_rate: int = 60
+
+
+@dataclass(frozen=True)
+class RestartLimits:
+    """How often one player may be started again after it died or hung; as ``mlagents-learn``, -1 means no limit.
+
+    Attributes:
+        max_lifetime_restarts: In the whole run.
+        restarts_rate_limit_n: In any period.
+        restarts_rate_limit_period_s: The period's length, in seconds.
+    """
+
+    max_lifetime_restarts: int = 10
+    restarts_rate_limit_n: int = 1
+    restarts_rate_limit_period_s: float = 60.0
+
+
+@dataclass(frozen=True)
 class RunConfig:
     """One training run. With the same versions and machine, it decides every number of the run.
 
@@ -82,10 +127,14 @@ class RunConfig:
         seed: Seeds the player, the networks, the actions and the minibatches.
         penalty: Subtracted when an episode fails (the environment parameter ``failure_penalty``).
         steps: Agent steps to train for.
-        num_areas: Training areas in the player.
+        num_areas: Training areas in each player.
         through_gym: One area through ``UnityToGymWrapper``, as the paper, instead of the vector path.
         ppo: Hyperparameters.
         curiosity: Hyperparameters; c = 0 is base PPO without any curiosity module.
+        num_envs: Players, stepped concurrently.
+        env_args: A launched player's own arguments.
+        engine: Unity's engine settings.
+        environment_parameters: Names and values or samplers, in the form of ``mlagents-learn``'s YAML.
     """
 
     run_id: str
@@ -99,6 +148,10 @@ class RunConfig:
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
+    num_envs: int = 1
+    env_args: list[str] = dataclasses.field(default_factory=list)
+    engine: EngineConfig = EngineConfig()
+    environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""
@@ -112,7 +165,8 @@ class RunConfig:
             TypeError: A value is missing or unknown.
         """
         ppo, curiosity = PPOConfig(**values["ppo"]), CuriosityConfig(**values["curiosity"])
-        return cls(**{**values, "ppo": ppo, "curiosity": curiosity})
+        engine = EngineConfig(**values.get("engine", {}))
+        return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine})
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,9 @@ def evaluate(
             if not dones[slot]:
                 path[slot].append(observations[slot])
                 continue
+            if "dropped" in infos[slot]:  # the player died and was started again
+                path[slot], rewards[slot] = [observations[slot]], []
+                continue
             path[slot].append(infos[slot]["terminal_observation"])
             played[slot].append(
                 Episode(np.array(path[slot]), np.array(rewards[slot], np.float32), infos[slot].get("statistics", {}))

@@ -11,11 +11,13 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from trainer.config import PAPER_STEPS, PRESETS, Algorithm, PresetName, RunConfig
+from trainer.config import PAPER_STEPS, PRESETS, Algorithm, EngineConfig, PresetName, RestartLimits, RunConfig
 from trainer.errors import TrainerError
+from trainer.player_settings import engine_config, environment_parameters, read_settings
 from trainer.results import RunFolder
 
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
+ENV_ARGS = "--env-args"
 
 
 @dataclass(frozen=True)
@@ -29,15 +31,28 @@ class Train:
         c: The paper's curiosity ratio; 0 is base PPO.
         seed: Decides the run.
         steps: Agent steps to train for.
-        num_areas: Training areas in the player; the preset's if not given.
-        base_port: Port on which a launched player finds the trainer.
-        timeout_wait: Seconds to wait for the player.
+        num_envs: Players, stepped concurrently, on consecutive ports.
+        num_areas: Training areas in each player; the preset's if not given.
+        base_port: Port on which the first launched player finds the trainer.
+        timeout_wait: Seconds to wait for a player.
         results_dir: Where runs are kept.
         resume: Continue an existing run.
         force: Overwrite an existing run.
         algo: The learning algorithm.
         penalty: Subtracted from the reward when an episode fails; 0 for the paper's case study B.
         eval_episodes: Episodes of the evaluation at the end.
+        config: YAML file with engine_settings and environment_parameters, as mlagents-learn's.
+        env_param: Environment parameters, NAME=NUMBER; over those of the file.
+        time_scale: Unity's time scale; 20 if not given.
+        width: Of Unity's window; 84 if not given.
+        height: Of Unity's window; 84 if not given.
+        quality_level: Unity's; 5 if not given.
+        target_frame_rate: Unity's; -1, as fast as can be, if not given.
+        capture_frame_rate: Unity's; 60 if not given.
+        max_lifetime_restarts: How often a player that died or hung is started again; -1 is no limit.
+        restarts_rate_limit_n: How often in any period; -1 is no limit.
+        restarts_rate_limit_period_s: The length of the period, in seconds.
+        env_args: Everything after this option is passed to the launched players.
     """
 
     run_id: str
@@ -46,6 +61,7 @@ class Train:
     c: float = 0.3
     seed: int = 0
     steps: int = PAPER_STEPS
+    num_envs: int = 1
     num_areas: int | None = None
     base_port: int = 5005
     timeout_wait: int = 60
@@ -55,6 +71,18 @@ class Train:
     algo: Algorithm = "ppo"
     penalty: float = 1.0
     eval_episodes: int = 200
+    config: Path | None = None
+    env_param: tuple[str, ...] = ()
+    time_scale: float | None = None
+    width: int | None = None
+    height: int | None = None
+    quality_level: int | None = None
+    target_frame_rate: int | None = None
+    capture_frame_rate: int | None = None
+    max_lifetime_restarts: int = 10
+    restarts_rate_limit_n: int = 1
+    restarts_rate_limit_period_s: float = 60.0
+    env_args: tuple[str, ...] = ()
 
     def run_config(self) -> RunConfig:
         """The run that these arguments ask for.
@@ -66,21 +94,27 @@ class Train:
         areas = preset.num_areas if self.num_areas is None else self.num_areas
         at_least = [("steps", self.steps, 1), ("num-areas", areas, 1), ("timeout-wait", self.timeout_wait, 1)]
         at_least += [("eval-episodes", self.eval_episodes, 1), ("seed", self.seed, 0), ("base-port", self.base_port, 1)]
+        at_least += [("num-envs", self.num_envs, 1)]
         for name, value, low in at_least:
             if value < low:
                 raise TrainerError(f"--{name} is {value}, but a whole number from {low} up was expected.")
         if self.seed >= 2**31:
             raise TrainerError(f"--seed is {self.seed}, but the protocol carries seeds below {2**31}.")
-        if self.base_port > 65535:
+        if self.base_port + self.num_envs - 1 > 65535:
             raise TrainerError(f"--base-port is {self.base_port}, but ports end at 65535.")
         for name, number in (("c", self.c), ("penalty", self.penalty)):
             if not 0.0 <= number <= 1000.0:
                 raise TrainerError(f"--{name} is {number:g}, but a number from 0 to 1000 was expected.")
-        if preset.through_gym and areas != 1:
-            raise TrainerError(
-                f"--num-areas is {areas}, but preset {self.preset} trains one area through UnityToGymWrapper; "
-                "leave --num-areas out, or take preset fast."
-            )
+        for name, count in (("num-areas", areas), ("num-envs", self.num_envs)):
+            if preset.through_gym and count != 1:
+                raise TrainerError(
+                    f"--{name} is {count}, but preset {self.preset} trains one area through UnityToGymWrapper; "
+                    f"leave --{name} out, or take preset fast."
+                )
+        if self.env == "editor" and self.num_envs != 1:
+            raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        engine, parameters = read_settings(self.config)
+        given = {name: value for name in EngineConfig.RANGES if (value := getattr(self, name)) is not None}
         return RunConfig(
             run_id=self.run_id,
             env=self.env,
@@ -93,7 +127,30 @@ class Train:
             through_gym=preset.through_gym,
             ppo=preset.ppo,
             curiosity=dataclasses.replace(preset.curiosity, c=self.c),
+            num_envs=self.num_envs,
+            env_args=list(self.env_args),
+            engine=engine_config({**engine, **given}),
+            environment_parameters=environment_parameters(self.env_param, parameters, self.env == "builtin"),
         )
+
+    def restart_limits(self) -> RestartLimits:
+        """How often players may be started again.
+
+        Raises:
+            TrainerError: A value is out of its range.
+        """
+        for name, count in (
+            ("max-lifetime-restarts", self.max_lifetime_restarts),
+            ("restarts-rate-limit-n", self.restarts_rate_limit_n),
+        ):
+            if count < -1:
+                raise TrainerError(f"--{name} is {count}, but a whole number from 0 up was expected, or -1: no limit.")
+        if not self.restarts_rate_limit_period_s > 0.0:
+            raise TrainerError(
+                f"--restarts-rate-limit-period-s is {self.restarts_rate_limit_period_s:g}, but seconds above 0 were "
+                "expected."
+            )
+        return RestartLimits(self.max_lifetime_restarts, self.restarts_rate_limit_n, self.restarts_rate_limit_period_s)
 
 
 @dataclass(frozen=True)
@@ -156,7 +213,14 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns the process's exit code."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    env_args = []
+    if ENV_ARGS in arguments:  # what follows is the player's, dashes and all, as with mlagents-learn
+        at = arguments.index(ENV_ARGS)
+        arguments, env_args = arguments[:at], arguments[at + 1 :]
     command = tyro.cli(Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    if env_args and isinstance(command, Train):
+        command = dataclasses.replace(command, env_args=tuple(env_args))
     console = Console(stderr=True)
     try:
         return _run(command)
@@ -179,7 +243,7 @@ def _run(command: Train | Evaluate | Check | Bench) -> int:
 
         return 0 if check_player(command.env, command.timeout_wait, Console()) else 1
     if isinstance(command, Train):
-        config = command.run_config()
+        config, limits = command.run_config(), command.restart_limits()
         folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)
         from trainer import run  # torch takes seconds to import, and an error before it should not
 
@@ -190,6 +254,7 @@ def _run(command: Train | Evaluate | Check | Bench) -> int:
             timeout_wait=command.timeout_wait,
             episodes=command.eval_episodes,
             resumed=command.resume,
+            limits=limits,
         )
         return 0 if finished else INTERRUPTED
     folder = RunFolder.find(command.run, command.results_dir)

@@ -6,11 +6,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from trainer.config import RunConfig
+from trainer.config import RestartLimits, RunConfig
 from trainer.evaluation import Episode, evaluate, summarise
 from trainer.figures import save_episode_paths, save_learning_curve
+from trainer.players import open_player
 from trainer.results import RunFolder
-from trainer.training import Counters, build_stages, open_player, resume, train
+from trainer.training import Counters, build_stages, resume, train
 from trainer.unity import can_be_launched, is_corridor
 
 # Evaluation plays episodes that training has not seen.
@@ -18,7 +19,14 @@ EVALUATION_SEED_OFFSET = 1_000_000
 
 
 def train_run(
-    config: RunConfig, folder: RunFolder, *, port: int, timeout_wait: int, episodes: int, resumed: bool
+    config: RunConfig,
+    folder: RunFolder,
+    *,
+    port: int,
+    timeout_wait: int,
+    episodes: int,
+    resumed: bool,
+    limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
 ) -> bool:
     """Trains, evaluates and writes the run's summary and pictures.
 
@@ -30,7 +38,10 @@ def train_run(
     """
     console = Console()
     evaluated: list[Episode] | None = None
-    with open_player(config, folder.logs, seed=config.seed, port=port, timeout_wait=timeout_wait) as (player, behavior):
+    with open_player(config, folder.logs, seed=config.seed, port=port, timeout_wait=timeout_wait, limits=limits) as (
+        player,
+        behavior,
+    ):
         stages = build_stages(config, player)
         counters = resume(folder, stages) if resumed else Counters()
         first_step = counters.env_steps
@@ -59,6 +70,7 @@ def train_run(
             "steps_to_50_success": counters.steps_to_50_success,
             "steps_to_90_success": counters.steps_to_90_success,
             "evaluation": summarise(evaluated) if evaluated else None,
+            "restarts": counters.restarts,
         }
     )
     title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"

@@ -3,36 +3,29 @@
 import signal
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
-from mlagents_envs.environment import UnityEnvironment
-from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
-from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from trainer.checkpoint import latest_checkpoint, load_checkpoint, save_checkpoint
 from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
-from trainer.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
 from trainer.lean_ppo import LeanPPO
+from trainer.players import EpisodeMonitor
 from trainer.progress import ProgressDisplay, Snapshot
 from trainer.results import ProgressFile, RunFolder
-from trainer.unity import only_behavior, open_environment, player_errors
-from trainer.vec_env import UnityVecEnv
+from trainer.signals import uninterrupted
 
 WINDOW = 100  # episodes that running means are over
 ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
@@ -50,6 +43,7 @@ class Counters:
         wall_seconds: Time spent learning.
         steps_to_50_success: Agent steps at which half of the last 100 episodes had succeeded, or None.
         steps_to_90_success: The same for nine tenths.
+        restarts: How often a player was started again because it had died or hung.
     """
 
     env_steps: int = 0
@@ -57,6 +51,7 @@ class Counters:
     wall_seconds: float = 0.0
     steps_to_50_success: int | None = None
     steps_to_90_success: int | None = None
+    restarts: int = 0
 
 
 class ObservationNormaliser(VecNormalize):
@@ -87,55 +82,6 @@ class Stages:
     model: PPO
 
 
-@contextmanager
-def open_player(
-    config: RunConfig, logs: Path, *, seed: int, port: int, timeout_wait: int
-) -> Iterator[tuple[VecEnv, str]]:
-    """Opens the run's environment as a VecEnv, and closes it whatever happens.
-
-    Args:
-        config: The run.
-        logs: Folder for the player's log.
-        seed: The player's seed.
-        port: The port for a launched player.
-        timeout_wait: Seconds to wait for the player.
-
-    Yields:
-        The environments, unwrapped, and the behavior's name.
-
-    Raises:
-        TrainerError: The player can't be started, or does not fit.
-    """
-    statistics, parameters = StatsSideChannel(), EnvironmentParametersChannel()
-    parameters.set_float_parameter("failure_penalty", config.penalty)
-    environment = open_environment(
-        config.env,
-        seed=seed,
-        num_areas=config.num_areas,
-        port=port,
-        timeout_wait=timeout_wait,
-        log_folder=logs,
-        side_channels=[statistics, parameters],
-    )
-    try:
-        with player_errors(logs):
-            yield _as_vec_env(config, environment, statistics)
-    except UnityGymException as error:
-        raise TrainerError(str(error)) from error
-    finally:
-        with uninterrupted():
-            environment.close()
-
-
-def _as_vec_env(config: RunConfig, environment: UnityEnvironment, statistics: StatsSideChannel) -> tuple[VecEnv, str]:
-    if not config.through_gym:
-        vec_env = UnityVecEnv(environment, statistics)
-        return vec_env, vec_env.behavior
-    wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
-    only_behavior(environment)
-    return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)]), wrapper.name
-
-
 def build_stages(config: RunConfig, player: VecEnv) -> Stages:
     """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment.
 
@@ -144,7 +90,7 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
     """
     torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
     ppo = config.ppo
-    normaliser = ObservationNormaliser(VecMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
+    normaliser = ObservationNormaliser(EpisodeMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
     top: VecEnv = normaliser
     curiosity = None
     if config.curiosity.c > 0:
@@ -245,11 +191,13 @@ class _Recorder(BaseCallback):
         }
         self._next_checkpoint = counters.env_steps + CHECKPOINT_STEPS
         self._earlier_seconds = counters.wall_seconds
+        self._earlier_restarts = counters.restarts
         self._started = time.monotonic()
 
     def _on_step(self) -> bool:
         self._counters.env_steps = self.num_timesteps
         self._counters.wall_seconds = self._earlier_seconds + time.monotonic() - self._started
+        self._counters.restarts = self._earlier_restarts + getattr(self._stages.player, "restarts", 0)
         for info in self.locals["infos"]:
             if "episode" in info:
                 self._end_episode(info)
@@ -317,13 +265,3 @@ class _StopSignals:
         if self.received:
             raise KeyboardInterrupt
         self.received = True
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Keeps an impatient Ctrl-C from cutting what must be finished: saving, and closing the player."""
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)

@@ -2,9 +2,10 @@
 
 import atexit
 import os
+import platform
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,14 +24,15 @@ from mlagents_envs.exception import (
 from mlagents_envs.side_channel.side_channel import SideChannel
 
 from corridor_server.columnar import AgentRows, read_output, write_step
-from trainer.communicator import ExchangeCommunicator, parse
+from trainer.communicator import ExchangeCommunicator, parse, serialise
 from trainer.errors import TrainerError
 
 BUILTIN, EDITOR = "builtin", "editor"
 LOOPBACK = "localhost"
+FOREIGN = {".exe": "Windows", ".app": "macOS", ".x86_64": "Linux", ".x86": "Linux"}
 
 
-class _BadNumbers(RuntimeError):
+class BadNumbers(RuntimeError):
     """Observations or rewards have NaN or Inf; a RuntimeError as in ``mlagents_envs``."""
 
 
@@ -53,19 +55,25 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         file_name: The player's executable; None waits for a player that somebody else starts.
         port: Where the player finds the trainer.
         host: Where to listen.
+        number: Of several players; names the log of one that is launched.
         **options: ``UnityEnvironment``'s.
     """
 
-    def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, **options: Any) -> None:
+    def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, number: int = 0, **options: Any) -> None:
         self._host = host
         self._plain: _Plain | None = None
+        worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
         try:
-            super().__init__(file_name, worker_id=0, base_port=port, no_graphics=True, **options)
-        except UnityException:
+            super().__init__(file_name, worker_id=worker_id, base_port=port - worker_id, no_graphics=True, **options)
+        except (UnityException, OSError):
             if hasattr(self, "_communicator"):
                 self._close(0)
             atexit.unregister(self._close)
             raise
+
+    def kill(self) -> None:
+        """Closes the environment without waiting for a player that hangs."""
+        self._close(0)
 
     def _close(self, timeout: int | None = None) -> None:
         process = self._process
@@ -83,25 +91,39 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         try:
             super()._update_state(output)
         except RuntimeError as error:  # what mlagents_envs raises for NaN or Inf, and for nothing else
-            raise _BadNumbers(str(error)) from error
+            raise BadNumbers(str(error)) from error
 
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
-        plain = self._plain
-        if plain is None or not self._loaded or not len(self._env_state[plain.behavior][0]):
-            super().step()
-            self._plain = _plain(self.behavior_specs)
+        if self._is_first_message or not self._loaded:
+            super().step()  # begins with a reset; refuses a closed environment
             return
-        if plain.behavior not in self._env_actions:
-            spec, count = self._env_specs[plain.behavior], len(self._env_state[plain.behavior][0])
-            self._env_actions[plain.behavior] = spec.action_spec.empty_action(count)
-        side_channel = bytes(self._side_channel_manager.generate_side_channel_messages())
-        message = write_step(plain.behavior, self._env_actions[plain.behavior].continuous, side_channel)
-        data = self._communicator.exchange_bytes(message, self._poll_process)
+        self.send()
+        self.receive()
+
+    def send(self) -> None:
+        """The first half of ``step``: the player computes from here on, while the caller does something else."""
+        for name, spec in self._env_specs.items():
+            if name not in self._env_actions:
+                self._env_actions[name] = spec.action_spec.empty_action(len(self._env_state[name][0]))
+        plain = self._plain
+        if plain is not None and len(self._env_state[plain.behavior][0]):
+            side_channel = bytes(self._side_channel_manager.generate_side_channel_messages())
+            message = write_step(plain.behavior, self._env_actions[plain.behavior].continuous, side_channel)
+        else:
+            message = serialise(self._generate_step_input(self._env_actions))
+        self._communicator.send(message)
+
+    def receive(self) -> None:
+        """The second half of ``step``: waits for the player's message, which ``get_steps`` then shows."""
+        data = self._communicator.receive(self._poll_process)
         if data is None:
             raise UnityCommunicatorStoppedException("Communicator has exited.")
-        read = read_output(data, plain.behavior, plain.observation, plain.observation_size)
-        if read is None:
+        plain = self._plain
+        read = None
+        if plain is not None:
+            read = read_output(data, plain.behavior, plain.observation, plain.observation_size)
+        if plain is None or read is None:
             output = parse(data).unity_output
             self._update_behavior_specs(output)
             self._update_state(output.rl_output)
@@ -128,7 +150,7 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
 def _steps(agents: AgentRows) -> tuple[DecisionSteps, TerminalSteps]:
     for values, source in ((agents.observations, "observations"), (agents.rewards, "rewards")):
         if not np.isfinite(values).all():
-            raise _BadNumbers(f"The {source} provided had NaN or infinite values.")
+            raise BadNumbers(f"The {source} provided had NaN or infinite values.")
     if not agents.done.any():
         nobody = agents.done.nonzero()[0]
         return _decision(agents, slice(None)), _terminal(agents, nobody)
@@ -157,6 +179,8 @@ def open_environment(
     timeout_wait: int,
     log_folder: Path | None = None,
     side_channels: list[SideChannel] | None = None,
+    number: int = 0,
+    env_args: Sequence[str] = (),
 ) -> Environment:
     """Starts or awaits a player and shakes hands.
 
@@ -164,26 +188,34 @@ def open_environment(
         env: ``builtin``; ``editor``; a build's path; or ``HOST:PORT``, where to listen for a player.
         seed: Sent to the player.
         num_areas: Training areas that the player shall make.
-        port: The port for a player that is launched here (the editor's is 5004).
+        port: The port for player 0 if it is launched here (the editor's is 5004).
         timeout_wait: Seconds to wait for the player.
-        log_folder: Where a launched player writes ``Player-0.log``.
+        log_folder: Where a launched player writes ``Player-<number>.log``.
         side_channels: Channels to register.
+        number: Of several players, from 0; added to the port.
+        env_args: Arguments of a launched player's own.
 
     Raises:
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
     """
     file_name, host, port = place(env, port)
+    port += number
+    if not 1 <= port <= 65535:
+        raise TrainerError(f"Port {port} for player {number} does not exist; ports end at 65535.")
     options: dict[str, Any] = {
         "seed": seed,
         "num_areas": num_areas,
         "timeout_wait": timeout_wait,
         "side_channels": side_channels,
+        "additional_args": list(env_args),
     }
+    if file_name is not None:
+        file_name = launch_path(file_name)
     if log_folder is not None:
         log_folder.mkdir(parents=True, exist_ok=True)
         options["log_folder"] = str(log_folder.absolute())
     try:
-        return Environment(file_name, port, host, **options)
+        return Environment(file_name, port, host, number, **options)
     except UnityWorkerInUseException as error:
         raise TrainerError(f"Port {port} on {host} is in use; choose another with --base-port.") from error
     except UnityTimeOutException as error:
@@ -192,7 +224,12 @@ def open_environment(
             "or give it more time with --timeout-wait."
         ) from error
     except UnityException as error:
-        raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder)}") from error
+        raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder and log_path(log_folder, number))}") from error
+    except OSError as error:
+        raise TrainerError(
+            f"{file_name} does not run on this machine ({platform.system()} {platform.machine()}: {error.strerror}); "
+            f"build the player for {platform.system()} on {platform.machine()}."
+        ) from error
 
 
 def can_be_launched(env: str) -> bool:
@@ -201,16 +238,29 @@ def can_be_launched(env: str) -> bool:
 
 
 @contextmanager
-def player_errors(log_folder: Path | None = None) -> Iterator[None]:
+def player_errors(log: Path | None = None) -> Iterator[None]:
     """Turns what ``mlagents_envs`` raises while a player is in use into one sentence (``TrainerError``)."""
     try:
         yield
-    except UnityCommunicatorStoppedException as error:
-        raise TrainerError(f"The player stopped in the middle of the run.{_log_hint(log_folder)}") from error
-    except UnityTimeOutException as error:
-        raise TrainerError(f"{_sentence(error)} The player hangs or is too slow.{_log_hint(log_folder)}") from error
-    except (UnityException, _BadNumbers) as error:
-        raise TrainerError(f"{_sentence(error)}{_log_hint(log_folder)}") from error
+    except (UnityException, BadNumbers) as error:
+        raise TrainerError(explain(error, log)) from error
+
+
+def explain(error: UnityException | RuntimeError, log: Path | None = None) -> str:
+    """One sentence for what ``mlagents_envs`` raises while a player is in use, and where its log is."""
+    match error:
+        case UnityCommunicatorStoppedException():
+            text = "The player stopped in the middle of the run."
+        case UnityTimeOutException():
+            text = f"{_sentence(error)} The player hangs or is too slow."
+        case _:
+            text = _sentence(error)
+    return text + _log_hint(log)
+
+
+def log_path(log_folder: Path, number: int) -> Path:
+    """Where a launched player logs."""
+    return log_folder / f"Player-{number}.log"
 
 
 def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
@@ -274,6 +324,14 @@ def launch_path(file_name: str) -> str:
     """
     path = env_utils.validate_environment_path(file_name)
     if path is None:
+        if Path(file_name).suffix in FOREIGN and Path(file_name).exists():
+            system, here = FOREIGN[Path(file_name).suffix], platform.system()
+            raise TrainerError(
+                f"{file_name} is a build for {system}, but this machine runs {here}; choose {here} as the target "
+                "platform in Unity's Build Settings and build again."
+            )
+        if Path(file_name).is_dir():
+            raise TrainerError(f"{file_name} is a folder; give the path of the executable in it.")
         raise TrainerError(f"There is no player {file_name}; give the path of a build's executable.")
     if not os.access(path, os.X_OK):
         raise TrainerError(f"{path} may not be executed; run 'chmod +x {path}'.")
@@ -293,5 +351,5 @@ def _sentence(error: Exception) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
-def _log_hint(log_folder: Path | None) -> str:
-    return f" The player's log is {log_folder / 'Player-0.log'}." if log_folder is not None else ""
+def _log_hint(log: Path | None) -> str:
+    return f" The player's log is {log}." if log is not None and log.exists() else ""

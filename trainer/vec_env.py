@@ -15,10 +15,38 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from trainer.errors import TrainerError
 from trainer.statistics import episode_info
-from trainer.unity import only_behavior
+from trainer.unity import Environment, only_behavior
 
 
-class UnityVecEnv(VecEnv):
+class Areas(VecEnv):
+    """A ``VecEnv`` whose slots are training areas, which have no attributes or methods that a caller could reach."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """None for each slot."""
+        return [None for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Not supported.
+
+        Raises:
+            NotImplementedError: Always; use a side channel.
+        """
+        raise NotImplementedError(f"An area has no attribute {attr_name} to set; use a side channel.")
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Not supported.
+
+        Raises:
+            NotImplementedError: Always; use a side channel.
+        """
+        raise NotImplementedError(f"An area has no method {method_name} to call; use a side channel.")
+
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Never: slots are not Gymnasium environments."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class UnityVecEnv(Areas):
     """Every agent of the one behavior is a slot; a slot's next episode is whichever agent takes the ended one's place.
 
     Works for a behavior whose agents ask for decisions in step, with vector observations (several are put one after
@@ -79,6 +107,8 @@ class UnityVecEnv(VecEnv):
         else:
             chosen.add_discrete(actions[self._in_order].reshape(self.num_envs, -1).astype(np.int32, copy=False))
         self.environment.set_actions(self.behavior, chosen)
+        if isinstance(self.environment, Environment):
+            self.environment.send()  # the player computes while others get their actions
 
     def step_wait(self) -> VecEnvStepReturn:
         """Runs the player until every slot's agent asks for its next decision."""
@@ -86,8 +116,13 @@ class UnityVecEnv(VecEnv):
         dones = np.zeros(self.num_envs, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended_slots: list[int] = []
+        sent = isinstance(self.environment, Environment)
         while True:
-            self.environment.step()
+            if sent:
+                self.environment.receive()
+            else:
+                self.environment.step()
+            sent = False
             decision, terminal = self.environment.get_steps(self.behavior)
             ended_slots += self._end_episodes(terminal, rewards, dones, infos)
             if len(decision):
@@ -155,30 +190,6 @@ class UnityVecEnv(VecEnv):
     def close(self) -> None:
         """Closes the environment."""
         self.environment.close()
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Slots are areas of one player and have no attributes of their own: None for each."""
-        return [None for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Not supported.
-
-        Raises:
-            NotImplementedError: Always; use a side channel.
-        """
-        raise NotImplementedError(f"An area has no attribute {attr_name} to set; use a side channel.")
-
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Not supported.
-
-        Raises:
-            NotImplementedError: Always; use a side channel.
-        """
-        raise NotImplementedError(f"An area has no method {method_name} to call; use a side channel.")
-
-    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Never: slots are not Gymnasium environments."""
-        return [False for _ in self._get_indices(indices)]
 
 
 def check_finite(actions: NDArray[Any]) -> None:
