@@ -71,8 +71,10 @@ def test_the_summary_has_the_contracts_keys(run):
     evaluation = summary["evaluation"]
     assert list(evaluation) == [
         "episodes", "success_rate", "mean_return", "mean_episode_length", "opponent_contact_rate", "wall_contact_rate",
+        "mean_success_length",
     ]  # fmt: skip
     assert evaluation["episodes"] == 20
+    assert (evaluation.pop("mean_success_length") is None) == (evaluation["success_rate"] == 0)
     assert all(isinstance(value, int | float) for value in evaluation.values())
 
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 PAPER_STEPS = 1_500_000
 PresetName = Literal["fast", "paper"]
 Algorithm = Literal["ppo"]
+ExecutorName = Literal["local", "ray"]
 
 
 @dataclass(frozen=True)
@@ -191,3 +192,34 @@ PRESETS: dict[PresetName, Preset] = {
         curiosity=CuriosityConfig(),
     ),
 }
+
+
+def preset_run(
+    run_id: str,
+    preset: PresetName,
+    *,
+    c: float,
+    seed: int,
+    steps: int,
+    env: str = "builtin",
+    algo: Algorithm = "ppo",
+    penalty: float = 1.0,
+    num_areas: int | None = None,
+    **others: Any,
+) -> RunConfig:
+    """A run with a preset's hyperparameters; ``num_areas`` is the preset's if not given, others are RunConfig's."""
+    chosen = PRESETS[preset]
+    return RunConfig(
+        run_id=run_id,
+        env=env,
+        preset=preset,
+        algo=algo,
+        seed=seed,
+        penalty=penalty,
+        steps=steps,
+        num_areas=chosen.num_areas if num_areas is None else num_areas,
+        through_gym=chosen.through_gym,
+        ppo=chosen.ppo,
+        curiosity=dataclasses.replace(chosen.curiosity, c=c),
+        **others,
+    )

@@ -85,7 +85,12 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
         "mean_episode_length": float(np.mean([len(episode.rewards) for episode in episodes])),
         "opponent_contact_rate": _share(episodes, OPPONENT_CONTACTS),
         "wall_contact_rate": _share(episodes, WALL_CONTACTS),
+        "mean_success_length": _mean_length([episode for episode in episodes if episode.succeeded]),
     }
+
+
+def _mean_length(episodes: Sequence[Episode]) -> float | None:
+    return float(np.mean([len(episode.rewards) for episode in episodes])) if episodes else None
 
 
 def _share(episodes: Sequence[Episode], name: str) -> float | None:

@@ -1,17 +1,29 @@
 """The ``corridor`` command."""
 
 import dataclasses
+import os
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from trainer.config import PAPER_STEPS, PRESETS, Algorithm, EngineConfig, PresetName, RestartLimits, RunConfig
+from trainer.config import (
+    PAPER_STEPS,
+    PRESETS,
+    Algorithm,
+    EngineConfig,
+    ExecutorName,
+    PresetName,
+    RestartLimits,
+    RunConfig,
+    preset_run,
+)
 from trainer.errors import TrainerError
 from trainer.player_settings import engine_config, environment_parameters, read_settings
 from trainer.results import RunFolder
@@ -115,18 +127,16 @@ class Train:
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
         engine, parameters = read_settings(self.config)
         given = {name: value for name in EngineConfig.RANGES if (value := getattr(self, name)) is not None}
-        return RunConfig(
-            run_id=self.run_id,
-            env=self.env,
-            preset=self.preset,
-            algo=self.algo,
+        return preset_run(
+            self.run_id,
+            self.preset,
+            c=self.c,
             seed=self.seed,
-            penalty=self.penalty,
             steps=self.steps,
+            env=self.env,
+            algo=self.algo,
+            penalty=self.penalty,
             num_areas=areas,
-            through_gym=preset.through_gym,
-            ppo=preset.ppo,
-            curiosity=dataclasses.replace(preset.curiosity, c=self.c),
             num_envs=self.num_envs,
             env_args=list(self.env_args),
             engine=engine_config({**engine, **given}),
@@ -203,9 +213,96 @@ class Bench:
     base_port: int = 5005
 
 
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options of every study that trains.
+
+    Attributes:
+        seeds: How many seeds; every arm has a run for each.
+        first_seed: The first of them.
+        steps: Agent steps a run.
+        preset: The runs' preset.
+        jobs: Runs at a time on this machine; as many as it has cores if not given.
+        executor: local: processes of this machine; ray: tasks on a Ray cluster (pip install .[ray]).
+        address: The Ray cluster, HOST:PORT or auto; if not given, one is started on this machine.
+        eval_episodes: Episodes of each run's evaluation.
+        timeout_wait: Seconds to wait for a player.
+        results_dir: Where studies are kept: a folder, or an fsspec URL. A stopped study goes on from what is there.
+    """
+
+    seeds: int = 5
+    first_seed: int = 0
+    steps: int = PAPER_STEPS
+    preset: PresetName = "fast"
+    jobs: int | None = None
+    executor: ExecutorName = "local"
+    address: str | None = None
+    eval_episodes: int = 200
+    timeout_wait: int = 60
+    results_dir: str = "results"
+
+    def check(self) -> None:
+        """Refuses values out of their range, and options that contradict each other.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        at_least = [("seeds", self.seeds, 1), ("first-seed", self.first_seed, 0), ("steps", self.steps, 1)]
+        at_least += [("eval-episodes", self.eval_episodes, 1), ("timeout-wait", self.timeout_wait, 1)]
+        at_least += [("jobs", 1 if self.jobs is None else self.jobs, 1)]
+        for name, value, low in at_least:
+            if value < low:
+                raise TrainerError(f"--{name} is {value}, but a whole number from {low} up was expected.")
+        if self.first_seed + self.seeds > 2**31:
+            raise TrainerError(
+                f"--first-seed {self.first_seed} and --seeds {self.seeds} go beyond the protocol's seeds, < {2**31}."
+            )
+        if self.executor == "local" and self.address is not None:
+            raise TrainerError(f"--address {self.address} names a Ray cluster; add --executor ray, or leave it out.")
+        if self.executor == "ray" and self.jobs is not None:
+            raise TrainerError("--jobs is for --executor local; Ray runs as many at a time as its cluster has cores.")
+
+
+@dataclass(frozen=True)
+class CuriosityRatio(StudyOptions):
+    """Fig. 5: c = 0, 0.1, 0.3 and 0.5."""
+
+    name: ClassVar = "curiosity-ratio"
+
+
+@dataclass(frozen=True)
+class Penalty(StudyOptions):
+    """Fig. 6: c = 0.3 with and without the penalty of -1, and base PPO without either."""
+
+    name: ClassVar = "penalty"
+
+
+@dataclass(frozen=True)
+class CaseStudies(StudyOptions):
+    """Both of these at once; runs that both need are trained once."""
+
+    name: ClassVar = "case-studies"
+
+
+@dataclass(frozen=True)
+class Study:
+    """Train many runs and report what they show, with statistics over seeds.
+
+    Attributes:
+        what: Which study.
+    """
+
+    what: tyro.conf.OmitArgPrefixes[
+        Annotated[CuriosityRatio, tyro.conf.subcommand("curiosity-ratio")]
+        | Annotated[Penalty, tyro.conf.subcommand("penalty")]
+        | Annotated[CaseStudies, tyro.conf.subcommand("case-studies")]
+    ]
+
+
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
@@ -223,7 +320,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = dataclasses.replace(command, env_args=tuple(env_args))
     console = Console(stderr=True)
     try:
-        return _run(command)
+        return _run(command, shlex.join(["corridor", *arguments]))
     except TrainerError as error:
         console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         return 1
@@ -232,7 +329,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(command: Train | Evaluate | Check | Bench) -> int:
+def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
+    if isinstance(command, Study):
+        return _study(command.what, typed)
     if isinstance(command, Bench):
         from trainer.bench import run_bench
 
@@ -267,6 +366,30 @@ def _run(command: Train | Evaluate | Check | Bench) -> int:
         config, folder, port=command.base_port, timeout_wait=command.timeout_wait, episodes=command.episodes
     )
     return 0
+
+
+def _study(options: CuriosityRatio | Penalty | CaseStudies, typed: str) -> int:
+    options.check()
+    from trainer.studies import executors, plan, study
+    from trainer.studies.store import Store
+
+    if options.executor == "ray":
+        raise TrainerError("--executor ray is not there yet; leave it out.")
+    studies = {each.name: each for each in (plan.CURIOSITY_RATIO, plan.PENALTY, plan.CASE_STUDIES)}
+    executor = executors.LocalExecutor(options.jobs or os.cpu_count() or 1)
+    finished = study.run_study(
+        studies[options.name],
+        executor,
+        Store(options.results_dir),
+        preset=options.preset,
+        seeds=range(options.first_seed, options.first_seed + options.seeds),
+        steps=options.steps,
+        episodes=options.eval_episodes,
+        timeout_wait=options.timeout_wait,
+        command=typed,
+        console=Console(),
+    )
+    return 0 if finished else 1
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ class RunFolder:
             elif folder.path.exists():
                 folder._make_way(force)
             folder.path.mkdir(parents=True, exist_ok=True)
-            record = {"run": config.as_dict(), "versions": _versions(), "machine": _machine()}
+            record = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
             _write(folder.configuration, yaml.safe_dump(record, sort_keys=False))
         except OSError as error:
             raise TrainerError(
@@ -198,7 +198,8 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of Python and of what a run depends on, by package."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -208,5 +209,6 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
+    """What kind of machine this is."""
     return {"system": platform.system(), "machine": platform.machine(), "cpus": os.cpu_count()}

@@ -1,0 +1,80 @@
+"""A study's figures. Each function takes finished runs and returns a figure; ``save`` writes it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from trainer.studies.bootstrap import band
+from trainer.studies.results import RunResult, curves
+
+# The paper's two rows: (letter, column of progress.csv, title, unit).
+PANELS = (
+    ("a", "mean_return", "Reward", "extrinsic return of the last 100 episodes"),
+    ("b", "mean_episode_length", "Episode Length", "decisions in the last 100 episodes"),
+)
+
+
+def learning_curves(
+    runs: Mapping[str, Sequence[RunResult]],
+    colours: Mapping[str, str],
+    labels: Mapping[str, str],
+    column: str,
+    title: str,
+    unit: str,
+    generator: np.random.Generator,
+) -> Figure:
+    """One line an arm: the interquartile mean over its runs, in a 95% bootstrap band; each run as a faint line.
+
+    Args:
+        runs: By arm name.
+        colours: By arm name, in the legend's order.
+        labels: By arm name.
+        column: Of ``progress.csv``.
+        title: What is shown.
+        unit: The vertical axis.
+        generator: For the bootstrap.
+    """
+    figure = new_figure(7.0, 3.9)
+    axes = figure.add_subplot()
+    longest = max((run.config.steps for arm in runs.values() for run in arm), default=1)
+    factor, scale = (1e6, "millions") if longest >= 500_000 else (1e3, "thousands")
+    for name, colour in colours.items():
+        arm = runs.get(name, ())
+        steps, values = curves(arm, column)
+        if not len(steps):
+            continue
+        for value in values:
+            axes.plot(steps / factor, value, color=colour, linewidth=0.5, alpha=0.25)
+        middle, low, high = band(values, generator)
+        axes.fill_between(steps / factor, low, high, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(steps / factor, middle, color=colour, linewidth=2.0, label=f"{labels[name]} ({len(arm)} runs)")
+    axes.set_xlim(0, longest / factor)
+    axes.set_title(title)
+    axes.set_xlabel(f"agent steps ({scale})")
+    axes.set_ylabel(unit)
+    tidy(axes)
+    if axes.get_legend_handles_labels()[0]:
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, (width, height) in inches, that needs no display."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(axes: Axes) -> None:
+    """Takes away what says nothing."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a PNG file."""
+    figure.savefig(path, dpi=130)

@@ -1,0 +1,119 @@
+"""Which runs a study consists of."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from trainer.config import Algorithm, PresetName, RunConfig, preset_run
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Settings that a study's runs share but for the seed; a line of its figures.
+
+    Attributes:
+        name: Part of its runs' ids.
+        label: What figures and tables call it.
+        c: The paper's curiosity ratio.
+        penalty: What a failed episode costs on top.
+        gamma: Discount factor; the preset's if None.
+        algo: The learning algorithm.
+    """
+
+    name: str
+    label: str
+    c: float
+    penalty: float = 1.0
+    gamma: float | None = None
+    algo: Algorithm = "ppo"
+
+    def run(self, preset: PresetName, steps: int, seed: int) -> RunConfig:
+        """One of its runs."""
+        config = preset_run(
+            f"{self.name}-seed{seed}",
+            preset,
+            c=self.c,
+            seed=seed,
+            steps=steps,
+            penalty=self.penalty,
+            algo=self.algo,
+        )
+        if self.gamma is not None:
+            config = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, gamma=self.gamma))
+        return config
+
+
+@dataclass(frozen=True)
+class CurveFigure:
+    """A pair of learning-curve figures: reward above, episode length below, as the paper's Figs 5 and 6.
+
+    Attributes:
+        name: ``figure5`` gives ``figure5a.png`` and ``figure5b.png``.
+        title: What it compares.
+        colours: Arm names and the paper's colours for them, in the legend's order.
+    """
+
+    name: str
+    title: str
+    colours: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is compared, and what for.
+
+    Attributes:
+        name: Of its folder and command.
+        title: Of its report.
+        arms: What is compared.
+        figures: Learning curves to draw.
+        claims: Ids of the claims that it decides.
+    """
+
+    name: str
+    title: str
+    arms: tuple[Arm, ...]
+    figures: tuple[CurveFigure, ...] = ()
+    claims: tuple[str, ...] = ()
+
+    def runs(self, preset: PresetName, steps: int, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
+        """The study's runs by arm name, one a seed."""
+        return {arm.name: [arm.run(preset, steps, seed) for seed in seeds] for arm in self.arms}
+
+
+BASE = Arm("c0", "base PPO (c = 0)", 0.0)
+C01 = Arm("c0.1", "c = 0.1", 0.1)
+C03 = Arm("c0.3", "c = 0.3", 0.3)
+C05 = Arm("c0.5", "c = 0.5", 0.5)
+NO_PENALTY = Arm("c0.3-no-penalty", "c = 0.3, no penalty", 0.3, penalty=0.0)
+BASE_NO_PENALTY = Arm("c0-no-penalty", "base PPO, no penalty", 0.0, penalty=0.0)
+
+# The paper's colours.
+BLUE, RED, GREEN, PURPLE = "#1f5fbf", "#d1352b", "#2f9e44", "#8443a8"
+
+FIGURE_5 = CurveFigure(
+    "figure5", "Curiosity ratio", {C03.name: BLUE, C01.name: RED, C05.name: GREEN, BASE.name: PURPLE}
+)
+FIGURE_6 = CurveFigure("figure6", "Added penalty", {C03.name: BLUE, NO_PENALTY.name: RED, BASE_NO_PENALTY.name: GREEN})
+
+_RATIO_ARMS = (BASE, C01, C03, C05)
+_PENALTY_ARMS = (C03, NO_PENALTY, BASE_NO_PENALTY)
+_RATIO_CLAIMS, _PENALTY_CLAIMS = ("C1", "C2", "C3", "C4"), ("C5", "C6", "C7")
+
+CURIOSITY_RATIO = Study(
+    "curiosity-ratio",
+    "Influence of the curiosity ratio (section IV-A, Fig. 5)",
+    _RATIO_ARMS,
+    (FIGURE_5,),
+    _RATIO_CLAIMS,
+)
+PENALTY = Study(
+    "penalty", "Influence of the added penalty (section IV-B, Fig. 6)", _PENALTY_ARMS, (FIGURE_6,), _PENALTY_CLAIMS
+)
+CASE_STUDIES = Study(
+    "case-studies",
+    "Both case studies of the paper (section IV, Figs 5 and 6)",
+    (*_RATIO_ARMS, *_PENALTY_ARMS[1:]),
+    (FIGURE_5, FIGURE_6),
+    _RATIO_CLAIMS + _PENALTY_CLAIMS,
+)

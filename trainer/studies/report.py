@@ -1,0 +1,287 @@
+"""What a study leaves to read: ``report.md``, ``claims.json``, ``runs.csv`` and figures, and the same in a terminal."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from trainer.studies import figures
+from trainer.studies.bootstrap import Estimate, interval
+from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS
+from trainer.studies.executors import Outcome
+from trainer.studies.plan import Study
+from trainer.studies.results import RunResult, scores, steps_to
+
+CURVE_COLUMNS = (
+    "env_steps",
+    "episodes",
+    "mean_return",
+    "mean_episode_length",
+    "success_rate",
+    "intrinsic_reward",
+    "curiosity_return",
+)
+# Columns of the results table: (title, measure, digits, factor).
+COLUMNS = (
+    ("success", "success_rate", 3, 1.0),
+    ("return", "mean_return", 2, 1.0),
+    ("episode length", "mean_episode_length", 0, 1.0),
+    ("length of successes", "mean_success_length", 0, 1.0),
+    ("opponent contact", "opponent_contact_rate", 2, 1.0),
+    ("thousand steps to 50%", "steps_to_50_success", 0, 1e-3),
+    ("thousand steps to 90%", "steps_to_90_success", 0, 1e-3),
+)
+IN_TERMINAL = (0, 1, 2, 5, 6)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What was done, and with what.
+
+    Attributes:
+        command: As it was typed.
+        preset: The runs' preset.
+        seeds: The runs' seeds.
+        steps: Agent steps a run.
+        trained: Runs that this invocation trained; the others were finished before.
+        wall_seconds: That it took.
+        versions: By package.
+        machine: What kind of machine it was.
+    """
+
+    command: str
+    preset: str
+    seeds: Sequence[int]
+    steps: int
+    trained: int
+    wall_seconds: float
+    versions: Mapping[str, str]
+    machine: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Report:
+    """A study's results.
+
+    Attributes:
+        study: What was planned.
+        runs: Finished runs by arm name, in the seeds' order.
+        failures: Runs that failed.
+        facts: How it was done.
+    """
+
+    study: Study
+    runs: Mapping[str, Sequence[RunResult]]
+    failures: Sequence[Outcome]
+    facts: Facts
+
+    def claims(self) -> list[dict[str, Any]]:
+        """The study's claims, decided."""
+        return [CLAIMS[name].judge(self.runs) for name in self.study.claims]
+
+    def estimates(self) -> dict[str, dict[str, Estimate | None]]:
+        """Of every measure by arm name; None where no run has it (for steps to a success rate: reached it)."""
+        generator = np.random.default_rng(BOOTSTRAP_SEED)
+        found: dict[str, dict[str, Estimate | None]] = {}
+        for arm in self.study.arms:
+            runs = self.runs[arm.name]
+            found[arm.name] = {}
+            for _, measure, _, _ in COLUMNS:
+                values = scores(runs, measure)
+                if len(values) and measure.startswith("steps_to"):
+                    values = steps_to(runs, measure)
+                found[arm.name][measure] = interval(values, generator) if len(values) else None
+        return found
+
+    def table(self, between: str, columns: Sequence[int] = range(len(COLUMNS))) -> list[list[str]]:
+        """The results table: its head, then a row an arm.
+
+        Args:
+            between: Stands between a number and its interval.
+            columns: Which of ``COLUMNS``.
+        """
+        shown = [COLUMNS[index] for index in columns]
+        rows = [["arm", "runs", *(title for title, *_ in shown)]]
+        for arm, estimates in zip(self.study.arms, self.estimates().values(), strict=True):
+            runs = self.runs[arm.name]
+            cells = [arm.label, str(len(runs))]
+            for _, measure, digits, factor in shown:
+                estimate = estimates[measure]
+                cell = "-"
+                if estimate is not None:
+                    value, low, high = (
+                        f"{number * factor:,.{digits}f}" for number in (estimate.value, estimate.low, estimate.high)
+                    )
+                    cell = f"{value}{between}[{low}, {high}]"
+                if measure.startswith("steps_to") and runs:
+                    cell += f"{between}({len(scores(runs, measure))} of {len(runs)})"
+                cells.append(cell)
+            rows.append(cells)
+        return rows
+
+    def write(self, folder: Path) -> None:
+        """Writes every file of the report to a folder."""
+        claims = self.claims()
+        self._write_runs(folder / "runs.csv")
+        self._write_figures(folder)
+        (folder / "claims.json").write_text(json.dumps(self._record(claims), indent=2) + "\n", encoding="utf-8")
+        (folder / "report.md").write_text(self._markdown(claims), encoding="utf-8")
+
+    def show(self, console: Console) -> None:
+        """Prints claims, results and failures."""
+        if self.study.claims:
+            table = Table("claim", "holds", "evidence", title=f"{self.study.title}", show_lines=True)
+            for claim in self.claims():
+                holds = "[green]yes[/]" if claim["holds"] else "[red]no[/]"
+                table.add_row(f"{claim['id']} {escape(claim['statement'])}", holds, escape(claim["evidence"]))
+            console.print(table)
+        head, *rows = self.table("\n", IN_TERMINAL)
+        table = Table(*head, show_lines=True, title="Interquartile means over seeds, with 95% intervals")
+        for row in rows:
+            table.add_row(*(escape(cell) for cell in row))
+        console.print(table)
+        for failure in self.failures:
+            console.print(f"[red]failed:[/] {escape(_failure(failure))}", highlight=False, soft_wrap=True)
+
+    def _record(self, claims: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            "study": self.study.name,
+            "claims": claims,
+            "arms": self._arms(),
+            "seeds": len(self.facts.seeds),
+            "first_seed": self.facts.seeds[0],
+            "steps": self.facts.steps,
+            "preset": self.facts.preset,
+            "command": self.facts.command,
+            "runs": {
+                "finished": sum(len(runs) for runs in self.runs.values()),
+                "trained_by_this_command": self.facts.trained,
+                "failed": [failure.run_id for failure in self.failures],
+            },
+            "wall_seconds": round(self.facts.wall_seconds, 1),
+            "training_seconds": round(self._training_seconds(), 1),
+            "versions": dict(self.facts.versions),
+            "machine": dict(self.facts.machine),
+        }
+
+    def _arms(self) -> list[dict[str, Any]]:
+        rows = []
+        for arm, estimates in zip(self.study.arms, self.estimates().values(), strict=True):
+            measures = {name: None if value is None else asdict(value) for name, value in estimates.items()}
+            rows.append({"name": arm.name, "label": arm.label, "runs": len(self.runs[arm.name]), **measures})
+        return rows
+
+    def _training_seconds(self) -> float:
+        return sum(run.measure("wall_seconds") or 0.0 for runs in self.runs.values() for run in runs)
+
+    def _write_runs(self, path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["run_id", "arm", "algo", "c", "penalty", "gamma", "seed", *CURVE_COLUMNS])
+            for arm in self.study.arms:
+                for run in self.runs[arm.name]:
+                    config = run.config
+                    fixed = [config.run_id, arm.name, config.algo, config.curiosity.c, config.penalty]
+                    fixed += [config.ppo.gamma, config.seed]
+                    for row in run.rows:
+                        writer.writerow([*fixed, *(row[column] for column in CURVE_COLUMNS)])
+
+    def _write_figures(self, folder: Path) -> None:
+        labels = {arm.name: arm.label for arm in self.study.arms}
+        for spec in self.study.figures:
+            for letter, column, title, unit in figures.PANELS:
+                generator = np.random.default_rng(BOOTSTRAP_SEED)
+                figure = figures.learning_curves(self.runs, spec.colours, labels, column, title, unit, generator)
+                figures.save(figure, folder / f"{spec.name}{letter}.png")
+
+    def _markdown(self, claims: list[dict[str, Any]]) -> str:
+        sections = [self._headline(), self._claims_section(claims), self._results_section(), *self._figure_sections()]
+        sections += [self._runs_section(), self._origin()]
+        return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
+
+    def _headline(self) -> list[str]:
+        facts = self.facts
+        finished = sum(len(runs) for runs in self.runs.values())
+        planned = len(self.study.arms) * len(facts.seeds)
+        return [
+            f"# {self.study.title}",
+            "",
+            f"`{facts.command}`",
+            "",
+            f"{finished} of {planned} runs finished: {len(facts.seeds)} seeds from {facts.seeds[0]} on, "
+            f"{len(self.study.arms)} arms, {facts.steps:,} agent steps a run, preset {facts.preset}. This command "
+            f"trained {facts.trained} of them in {_duration(facts.wall_seconds)}; learning took "
+            f"{_duration(self._training_seconds())} over all runs.",
+        ]
+
+    def _claims_section(self, claims: list[dict[str, Any]]) -> list[str]:
+        if not claims:
+            return []
+        rows = [["", "claim", "holds", "evidence"]]
+        for claim in claims:
+            rows.append([claim["id"], claim["statement"], "yes" if claim["holds"] else "**no**", claim["evidence"]])
+        lines = ["## Claims of the paper", "", *_markdown_table(rows)]
+        lines += ["", "What decides each, fixed before the runs:", ""]
+        return lines + [f"- {claim['id']}: {claim['measure']}." for claim in claims]
+
+    def _results_section(self) -> list[str]:
+        return [
+            "## Results",
+            "",
+            "Interquartile means over seeds, with 95% stratified bootstrap intervals, of each run's evaluation at the",
+            "end: deterministic policy, extrinsic reward, lengths in decisions. Steps to a success rate are those",
+            "until so many of the last 100 training episodes succeeded; how many runs got there stands in",
+            "parentheses, and the others count with all their steps, so that the number is a lower bound.",
+            "",
+            *_markdown_table(self.table(" ")),
+        ]
+
+    def _figure_sections(self) -> list[list[str]]:
+        return [
+            [
+                f"## {spec.title}",
+                "",
+                *(f"![{title}]({spec.name}{letter}.png)\n" for letter, _, title, _ in figures.PANELS),
+                "Thick: interquartile mean over seeds; band: its 95% bootstrap interval; thin: single runs.",
+            ]
+            for spec in self.study.figures
+        ]
+
+    def _runs_section(self) -> list[str]:
+        seeds = self.facts.seeds
+        rows = [["arm", *map(str, seeds)]]
+        for arm in self.study.arms:
+            rates = {run.config.seed: run.measure("success_rate") for run in self.runs[arm.name]}
+            shown = (rates.get(seed) for seed in seeds)
+            rows.append([arm.label, *("-" if rate is None else f"{rate:.2f}" for rate in shown)])
+        lines = ["## Every run", "", "Success in the evaluation, by seed:", "", *_markdown_table(rows)]
+        if self.failures:
+            lines += ["", "Failed:", "", *(f"- {_failure(failure)}" for failure in self.failures)]
+        return lines
+
+    def _origin(self) -> list[str]:
+        machine = ", ".join(f"{name} {value}" for name, value in self.facts.machine.items())
+        versions = ", ".join(f"{name} {value}" for name, value in self.facts.versions.items())
+        return ["## Made with", "", f"{machine}; {versions}."]
+
+
+def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    head, *rest = rows
+    return [f"| {' | '.join(head)} |", "|---" * len(head) + "|", *(f"| {' | '.join(row)} |" for row in rest)]
+
+
+def _failure(outcome: Outcome) -> str:
+    return f"{outcome.run_id}: {outcome.error} (log: {outcome.log})"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,131 @@
+"""The one place that a study's runs and reports go to: a folder, or an fsspec URL such as ``s3://bucket/results``."""
+
+import json
+import tempfile
+import uuid
+from pathlib import Path
+
+import fsspec
+
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+from trainer.results import RunFolder
+from trainer.studies.results import RunResult
+
+READ = ("configuration.yaml", "summary.json", "progress.csv")
+
+
+class Store:
+    """Results by study: ``<place>/<study>/<run-id>/`` is an ordinary run folder.
+
+    Args:
+        place: A path or an fsspec URL.
+
+    Raises:
+        TrainerError: The URL is of an unknown kind, or of one that is not installed.
+    """
+
+    def __init__(self, place: str) -> None:
+        try:
+            self.fs, self.root = fsspec.core.url_to_fs(place)
+        except (ValueError, ImportError) as error:
+            raise TrainerError(f"--results-dir {place} can't be used: {error}") from error
+        self.place = self.root if "local" in self.fs.protocol or "file" in self.fs.protocol else place.rstrip("/")
+
+    def check_writable(self) -> None:
+        """Writes and removes a file.
+
+        Raises:
+            TrainerError: It can't be done.
+        """
+        probe = f"{self.root}/.probe-{uuid.uuid4().hex}"
+        try:
+            self.fs.makedirs(self.root, exist_ok=True)
+            self.fs.pipe_file(probe, b"-")
+            self.fs.rm_file(probe)
+        except Exception as error:  # every fsspec file system raises its own
+            raise TrainerError(
+                f"--results-dir {self.place} can't be written ({error}); choose another place, or log in to it."
+            ) from error
+
+    def find(self, config: RunConfig, study: str) -> str | None:
+        """The folder of a finished run with this configuration, in this study's folder or in another's.
+
+        Raises:
+            TrainerError: The run's own place in this study holds something else.
+        """
+        own = f"{self.root}/{study}/{config.run_id}"
+        others: list[str] = sorted(set(self.fs.glob(f"{self.root}/*/{config.run_id}")) - {own})
+        for path in (own, *others):
+            found = self._read_config(path)
+            if found == config and self._is_finished(path):
+                return path
+            if path == own and found != config and self._names_in(path) - {"run_logs"}:
+                raise TrainerError(
+                    f"{path} is not a run with this study's settings; choose another --results-dir, or remove it."
+                )
+        return None
+
+    def publish_run(self, folder: Path, config: RunConfig, study: str) -> None:
+        """Puts a run's folder in its place, ``summary.json`` last: a run that has one is whole.
+
+        Does nothing if the run is finished there already: a run is never in the results twice.
+        """
+        path = f"{self.root}/{study}/{config.run_id}"
+        if self._is_finished(path) and self._read_config(path) == config:
+            return
+        if self.fs.exists(path):
+            self.fs.rm(path, recursive=True)
+        files = sorted(each for each in folder.rglob("*") if each.is_file())
+        for file in sorted(files, key=lambda each: each.name == "summary.json"):
+            self.put(file, f"{study}/{config.run_id}/{file.relative_to(folder).as_posix()}")
+
+    def put(self, file: Path, name: str) -> None:
+        """Copies a file to a path under the place, whole or not at all."""
+        target = f"{self.root}/{name}"
+        self.fs.makedirs(target.rpartition("/")[0], exist_ok=True)
+        if "file" not in self.fs.protocol:
+            self.fs.put_file(str(file), target)
+            return
+        temporary = f"{target}.{uuid.uuid4().hex}.tmp"
+        self.fs.put_file(str(file), temporary)
+        Path(temporary).replace(target)
+
+    def load(self, path: str) -> RunResult:
+        """Reads a finished run.
+
+        Raises:
+            TrainerError: A file is missing or broken.
+        """
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = RunFolder(Path(temporary))
+            try:
+                for name in READ:
+                    self.fs.get_file(f"{path}/{name}", str(folder.path / name))
+                summary = json.loads(folder.summary.read_text(encoding="utf-8"))
+                return RunResult(folder.read_config(), summary, folder.read_progress(), path)
+            except (OSError, ValueError) as error:
+                raise TrainerError(
+                    f"The run {path} can't be read ({error}); remove it and run the study again."
+                ) from error
+
+    def _names_in(self, path: str) -> set[str]:
+        try:
+            return {name.rstrip("/").rpartition("/")[2] for name in self.fs.ls(path, detail=False)}
+        except OSError:
+            return set()
+
+    def _read_config(self, path: str) -> RunConfig | None:
+        try:
+            with tempfile.TemporaryDirectory() as temporary:
+                folder = RunFolder(Path(temporary))
+                self.fs.get_file(f"{path}/configuration.yaml", str(folder.configuration))
+                return folder.read_config()
+        except (OSError, TrainerError):
+            return None
+
+    def _is_finished(self, path: str) -> bool:
+        try:
+            return bool(json.loads(self.fs.cat_file(f"{path}/summary.json"))["evaluation"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
