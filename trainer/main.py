@@ -371,12 +371,15 @@ def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
 def _study(options: CuriosityRatio | Penalty | CaseStudies, typed: str) -> int:
     options.check()
     from trainer.studies import executors, plan, study
+    from trainer.studies.ray_executor import RayExecutor
     from trainer.studies.store import Store
 
-    if options.executor == "ray":
-        raise TrainerError("--executor ray is not there yet; leave it out.")
     studies = {each.name: each for each in (plan.CURIOSITY_RATIO, plan.PENALTY, plan.CASE_STUDIES)}
-    executor = executors.LocalExecutor(options.jobs or os.cpu_count() or 1)
+    executor: executors.Executor
+    if options.executor == "ray":
+        executor = RayExecutor(options.address)
+    else:
+        executor = executors.LocalExecutor(options.jobs or os.cpu_count() or 1)
     finished = study.run_study(
         studies[options.name],
         executor,

@@ -1,4 +1,4 @@
-"""Where a study's runs are executed: processes of this machine, or tasks on a Ray cluster.
+"""Where a study's runs are executed: processes of this machine, or (``ray_executor``) tasks on a Ray cluster.
 
 Either way a run is one ``worker`` process that trains in a scratch folder; what it leaves is then put in the results
 place. An executor yields what is going on until every run has ended.
@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -65,16 +65,25 @@ class Update:
     """What is going on.
 
     Attributes:
-        running: Steps taken so far by the id of each run in progress (0 where that is not known).
+        running: Runs in progress.
+        steps: Steps that they have taken, as far as is known.
         ended: Runs that ended since the last update.
     """
 
-    running: dict[str, int] = field(default_factory=dict)
-    ended: tuple[Outcome, ...] = ()
+    running: int
+    steps: int
+    ended: tuple[Outcome, ...]
 
 
 class Executor(Protocol):
     """Runs tasks; closing the generator stops those that are running."""
+
+    def check(self) -> None:
+        """Makes sure that runs can be executed.
+
+        Raises:
+            TrainerError: They can't.
+        """
 
     def run(self, tasks: Sequence[Task]) -> Generator[Update, None, None]:
         """Runs them all, and yields at least once a second."""
@@ -90,6 +99,9 @@ class LocalExecutor:
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
 
+    def check(self) -> None:
+        """This machine is always there."""
+
     def run(self, tasks: Sequence[Task]) -> Generator[Update, None, None]:
         """Runs them in order."""
         waiting, running = deque(tasks), list[Attempt]()
@@ -100,7 +112,7 @@ class LocalExecutor:
                 ended = [attempt for attempt in running if attempt.has_ended()]
                 running = [attempt for attempt in running if attempt not in ended]
                 outcomes = tuple(attempt.publish() for attempt in ended)
-                yield Update({attempt.task.config.run_id: attempt.steps() for attempt in running}, outcomes)
+                yield Update(len(running), sum(attempt.steps() for attempt in running), outcomes)
                 time.sleep(POLL_SECONDS if running else 0.0)
         finally:
             for attempt in running:

@@ -51,7 +51,7 @@ class StudyDisplay:
 
     def update(self, update: Update) -> None:
         """Shows what is going on now."""
-        taken = sum(min(steps, self._steps) for steps in update.running.values())
+        taken = min(update.steps, update.running * self._steps)
         taken += (self._ended + len(update.ended)) * self._steps
         left = self._left(taken)
         for outcome in update.ended:
@@ -61,7 +61,7 @@ class StudyDisplay:
             line = f"{done}/{self._total} {escape(outcome.run_id)} {result}{left}"
             self._bar.console.print(line, highlight=False, soft_wrap=True)
         done = self._total - self._missing + self._ended
-        text = f"{done}/{self._total} runs done, {len(update.running)} running{left}"
+        text = f"{done}/{self._total} runs done, {update.running} running{left}"
         self._bar.update(self._task, completed=taken, text=text)
 
     def _left(self, taken: int) -> str:

@@ -1,11 +1,13 @@
 """The one place that a study's runs and reports go to: a folder, or an fsspec URL such as ``s3://bucket/results``."""
 
 import json
+import shutil
 import tempfile
 import uuid
 from pathlib import Path
 
 import fsspec
+from fsspec.implementations.local import LocalFileSystem
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
@@ -30,7 +32,8 @@ class Store:
             self.fs, self.root = fsspec.core.url_to_fs(place)
         except (ValueError, ImportError) as error:
             raise TrainerError(f"--results-dir {place} can't be used: {error}") from error
-        self.place = self.root if "local" in self.fs.protocol or "file" in self.fs.protocol else place.rstrip("/")
+        self._is_local = isinstance(self.fs, LocalFileSystem)
+        self.place = self.root if self._is_local else place.rstrip("/")
 
     def check_writable(self) -> None:
         """Writes and removes a file.
@@ -67,15 +70,26 @@ class Store:
         return None
 
     def publish_run(self, folder: Path, config: RunConfig, study: str) -> None:
-        """Puts a run's folder in its place, ``summary.json`` last: a run that has one is whole.
+        """Puts a run's folder in its place, whole or not at all (at a URL: ``summary.json`` last).
 
-        Does nothing if the run is finished there already: a run is never in the results twice.
+        Does nothing if the run is finished there already: a run is never in the results twice, even if a lost node
+        turns out to be alive.
         """
         path = f"{self.root}/{study}/{config.run_id}"
         if self._is_finished(path) and self._read_config(path) == config:
             return
         if self.fs.exists(path):
             self.fs.rm(path, recursive=True)
+        if self._is_local:
+            temporary = Path(f"{self.root}/{study}/.{config.run_id}-{uuid.uuid4().hex}")
+            shutil.copytree(folder, temporary)
+            try:
+                temporary.rename(path)
+            except OSError:
+                shutil.rmtree(temporary)
+                if not self._is_finished(path):
+                    raise
+            return
         files = sorted(each for each in folder.rglob("*") if each.is_file())
         for file in sorted(files, key=lambda each: each.name == "summary.json"):
             self.put(file, f"{study}/{config.run_id}/{file.relative_to(folder).as_posix()}")
@@ -84,7 +98,7 @@ class Store:
         """Copies a file to a path under the place, whole or not at all."""
         target = f"{self.root}/{name}"
         self.fs.makedirs(target.rpartition("/")[0], exist_ok=True)
-        if "file" not in self.fs.protocol:
+        if not self._is_local:
             self.fs.put_file(str(file), target)
             return
         temporary = f"{target}.{uuid.uuid4().hex}.tmp"

@@ -48,9 +48,10 @@ def run_study(
         Whether every run finished.
 
     Raises:
-        TrainerError: The place can't be written, or holds a run with other settings; nothing was started.
+        TrainerError: The place can't be written or holds something else, or there is no cluster; nothing was started.
     """
     store.check_writable()
+    executor.check()
     planned = study.runs(preset, steps, seeds)
     configs = [planned[arm.name][index] for index in range(len(seeds)) for arm in study.arms]
     missing = [config for config in configs if store.find(config, study.name) is None]
