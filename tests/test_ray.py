@@ -78,5 +78,5 @@ def test_an_unreachable_address_is_one_sentence_before_anything_starts(tmp_path,
     address = f"127.0.0.1:{free_port}"
     options = ["--executor", "ray", "--address", address, "--results-dir", str(tmp_path)]
     assert main(["study", "penalty", *options]) == 1
-    assert f"Nobody answers at --address {address}" in " ".join(capsys.readouterr().err.split())
+    assert f"No Ray cluster answers at --address {address}" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -16,13 +16,13 @@ KEPT = 5
 
 
 def save_checkpoint(
-    folder: Path, counters: dict[str, Any], model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None
+    folder: Path, counters: dict[str, Any], model: BaseAlgorithm, normaliser: VecNormalize, curiosity: Curiosity | None
 ) -> Path:
     """Writes ``step-N.pt`` whole or not at all, and removes all but the newest ``KEPT``."""
     state: dict[str, Any] = {
         "counters": counters,
         "policy": model.policy.state_dict(),
-        "optimizer": model.policy.optimizer.state_dict(),
+        "optimizer": _optimizer_state(model),
         "normaliser": {
             "mean": torch.from_numpy(_statistics(normaliser).mean),
             "var": torch.from_numpy(_statistics(normaliser).var),
@@ -58,7 +58,9 @@ def latest_checkpoint(folder: Path) -> Path:
     return found[-1]
 
 
-def load_checkpoint(path: Path, model: PPO, normaliser: VecNormalize, curiosity: Curiosity | None) -> dict[str, Any]:
+def load_checkpoint(
+    path: Path, model: BaseAlgorithm, normaliser: VecNormalize, curiosity: Curiosity | None
+) -> dict[str, Any]:
     """Puts a checkpoint's state into a run built with the same settings. Reads tensors only, never code.
 
     Returns:
@@ -78,7 +80,8 @@ def load_checkpoint(path: Path, model: PPO, normaliser: VecNormalize, curiosity:
         )
     try:
         model.policy.load_state_dict(state["policy"])
-        model.policy.optimizer.load_state_dict(state["optimizer"])
+        if state["optimizer"] is not None:
+            model.policy.optimizer.load_state_dict(state["optimizer"])
         if curiosity is not None:
             curiosity.module.adam.load_state_dict({name: tensor.numpy() for name, tensor in state["curiosity"].items()})
     except (KeyError, RuntimeError, ValueError) as error:
@@ -92,6 +95,12 @@ def load_checkpoint(path: Path, model: PPO, normaliser: VecNormalize, curiosity:
     statistics.var = state["normaliser"]["var"].numpy()
     statistics.count = state["normaliser"]["count"]
     return counters
+
+
+def _optimizer_state(model: BaseAlgorithm) -> dict[str, Any] | None:
+    """Of a policy that has one optimiser; DDPG's has two, and is saved to be evaluated but not to be continued."""
+    optimizer = getattr(model.policy, "optimizer", None)
+    return None if optimizer is None else optimizer.state_dict()
 
 
 def _statistics(normaliser: VecNormalize) -> RunningMeanStd:

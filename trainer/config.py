@@ -6,7 +6,8 @@ from typing import Any, ClassVar, Literal
 
 PAPER_STEPS = 1_500_000
 PresetName = Literal["fast", "paper"]
-Algorithm = Literal["ppo"]
+Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
+Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
 
 
@@ -46,6 +47,55 @@ class PPOConfig:
 
 
 @dataclass(frozen=True)
+class A2CConfig:
+    """What A2C, the synchronous A3C (section III-A), has for itself; the rest is PPO's.
+
+    Attributes:
+        n_steps: Steps of each area in an update.
+        learning_rate: RMSProp's, at the beginning.
+    """
+
+    n_steps: int = 5
+    learning_rate: float = 7e-4
+
+
+@dataclass(frozen=True)
+class TRPOConfig:
+    """What TRPO (section III-A) has for itself; the rest is PPO's, the steps in an update too.
+
+    Attributes:
+        learning_rate: Adam's for the value function, at the beginning.
+        target_kl: Bound on the divergence between old and new policy.
+    """
+
+    learning_rate: float = 1e-3
+    target_kl: float = 0.01
+
+
+@dataclass(frozen=True)
+class DDPGConfig:
+    """What DDPG (section III-A) has for itself; gamma and network sizes are PPO's.
+
+    Attributes:
+        learning_rate: Adam's.
+        buffer_size: Transitions in the replay buffer.
+        learning_starts: Agent steps of random actions before the first update.
+        batch_size: Transitions in a gradient step.
+        gradient_steps: After every step of all areas.
+        tau: How far the target networks move in a gradient step.
+        action_noise: Deviation of the Gaussian noise on actions.
+    """
+
+    learning_rate: float = 1e-3
+    buffer_size: int = 1_000_000
+    learning_starts: int = 10_000
+    batch_size: int = 256
+    gradient_steps: int = 4
+    tau: float = 0.005
+    action_noise: float = 0.2
+
+
+@dataclass(frozen=True)
 class CuriosityConfig:
     """How curious the agent is, and how its curiosity learns (section III-B).
 
@@ -57,6 +107,8 @@ class CuriosityConfig:
         learning_rate: Adam's.
         minibatches: Gradient steps per update; each transition is used once.
         forward_weight: Share of the forward model's loss; the inverse model has the rest.
+        intrinsic: ``icm``, the module of Fig. 2, or ``rnd``, random network distillation (ref. [14]).
+        rnd_scale: ``scale`` for ``rnd``; with it, r_i is at first about as large as with ``icm``.
         next_state: What follows an episode's last state: ``terminal``, its own last observation, or ``reset``, the
             next episode's first, as a Gym loop that looks only at the returned observation has it.
     """
@@ -69,6 +121,12 @@ class CuriosityConfig:
     minibatches: int = 4
     forward_weight: float = 0.2
     next_state: Literal["terminal", "reset"] = "terminal"
+    intrinsic: Intrinsic = "icm"
+    rnd_scale: float = 0.1
+
+
+OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
+OTHERS: dict[Algorithm, type[OtherConfig]] = {"a2c": A2CConfig, "trpo": TRPOConfig, "ddpg": DDPGConfig}
 
 
 @dataclass(frozen=True)
@@ -132,6 +190,7 @@ class RunConfig:
         through_gym: One area through ``UnityToGymWrapper``, as the paper, instead of the vector path.
         ppo: Hyperparameters.
         curiosity: Hyperparameters; c = 0 is base PPO without any curiosity module.
+        other: Hyperparameters of an algorithm other than PPO.
         num_envs: Players, stepped concurrently.
         env_args: A launched player's own arguments.
         engine: Unity's engine settings.
@@ -153,6 +212,7 @@ class RunConfig:
     env_args: list[str] = dataclasses.field(default_factory=list)
     engine: EngineConfig = EngineConfig()
     environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
+    other: OtherConfig | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""
@@ -167,7 +227,9 @@ class RunConfig:
         """
         ppo, curiosity = PPOConfig(**values["ppo"]), CuriosityConfig(**values["curiosity"])
         engine = EngineConfig(**values.get("engine", {}))
-        return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine})
+        kind = OTHERS.get(values["algo"])
+        other = None if kind is None else kind(**values["other"])
+        return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine, "other": other})
 
 
 @dataclass(frozen=True)
@@ -205,6 +267,7 @@ def preset_run(
     algo: Algorithm = "ppo",
     penalty: float = 1.0,
     num_areas: int | None = None,
+    intrinsic: Intrinsic = "icm",
     **others: Any,
 ) -> RunConfig:
     """A run with a preset's hyperparameters; ``num_areas`` is the preset's if not given, others are RunConfig's."""
@@ -220,6 +283,7 @@ def preset_run(
         num_areas=chosen.num_areas if num_areas is None else num_areas,
         through_gym=chosen.through_gym,
         ppo=chosen.ppo,
-        curiosity=dataclasses.replace(chosen.curiosity, c=c),
+        curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
+        other=OTHERS[algo]() if algo in OTHERS else None,
         **others,
     )

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from trainer.config import CuriosityConfig
 from trainer.icm import IntrinsicCuriosityModule
+from trainer.rnd import RandomNetworkDistillation
 
 
 class Curiosity(VecEnvWrapper):
@@ -28,7 +29,7 @@ class Curiosity(VecEnvWrapper):
         seed: Seeds the networks' initial weights and the minibatches.
 
     Attributes:
-        metrics: Means over the last update: ``forward_loss``, ``inverse_loss``, and ``reward`` (c x scale x r_i).
+        metrics: Means over the last update: the module's losses, and ``reward`` (c x scale x r_i); empty before it.
     """
 
     def __init__(self, venv: VecEnv, config: CuriosityConfig, update_every: int, seed: int) -> None:
@@ -38,7 +39,8 @@ class Curiosity(VecEnvWrapper):
             raise ValueError(f"Curiosity takes one vector observation, not {self.observation_space}.")
         self.config = config
         self.generator = np.random.default_rng(seed)
-        self.module = IntrinsicCuriosityModule(shape[0], self.action_space, config, self.generator)
+        kind = RandomNetworkDistillation if config.intrinsic == "rnd" else IntrinsicCuriosityModule
+        self.module = kind(shape[0], self.action_space, config, self.generator)
         self.metrics: dict[str, float] = {}
         action_size = int(np.prod(self.action_space.shape or (1,)))
         self._observations = np.zeros((update_every, self.num_envs, shape[0]), dtype=np.float32)
@@ -73,7 +75,7 @@ class Curiosity(VecEnvWrapper):
         self._observations[row] = self._last_observation
         self._last_observation = observations
         intrinsic = self.module.intrinsic_reward(self._observations[row], self._actions[row], next_observations)
-        intrinsic *= np.float32(self.config.c * self.config.scale)
+        intrinsic *= np.float32(self.config.c * self.module.scale)
         self._rewards[row] = intrinsic
         self._episode_sums += intrinsic
         for i in ended:

@@ -41,6 +41,7 @@ class IntrinsicCuriosityModule:
         self.inverse_model = Network(2 * self._features, hidden, action_size)
         self.forward_model = Network(self._features + action_size, hidden, self._features)
         self.adam = joined((self.encoder, self.inverse_model, self.forward_model), generator)
+        self.scale = config.scale
         self._forward_weight, self._rate = np.float32(config.forward_weight), config.learning_rate
 
     def intrinsic_reward(self, observations: Floats, actions: Floats, next_observations: Floats) -> Floats:

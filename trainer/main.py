@@ -19,6 +19,7 @@ from trainer.config import (
     Algorithm,
     EngineConfig,
     ExecutorName,
+    Intrinsic,
     PresetName,
     RestartLimits,
     RunConfig,
@@ -51,6 +52,7 @@ class Train:
         resume: Continue an existing run.
         force: Overwrite an existing run.
         algo: The learning algorithm.
+        intrinsic: What curiosity is paid for: icm, or rnd (random network distillation).
         penalty: Subtracted from the reward when an episode fails; 0 for the paper's case study B.
         eval_episodes: Episodes of the evaluation at the end.
         config: YAML file with engine_settings and environment_parameters, as mlagents-learn's.
@@ -81,6 +83,7 @@ class Train:
     resume: bool = False
     force: bool = False
     algo: Algorithm = "ppo"
+    intrinsic: Intrinsic = "icm"
     penalty: float = 1.0
     eval_episodes: int = 200
     config: Path | None = None
@@ -125,6 +128,8 @@ class Train:
                 )
         if self.env == "editor" and self.num_envs != 1:
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        if self.algo == "ddpg" and self.resume:
+            raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
         engine, parameters = read_settings(self.config)
         given = {name: value for name in EngineConfig.RANGES if (value := getattr(self, name)) is not None}
         return preset_run(
@@ -137,6 +142,7 @@ class Train:
             algo=self.algo,
             penalty=self.penalty,
             num_areas=areas,
+            intrinsic=self.intrinsic,
             num_envs=self.num_envs,
             env_args=list(self.env_args),
             engine=engine_config({**engine, **given}),
@@ -230,6 +236,7 @@ class StudyOptions:
         results_dir: Where studies are kept: a folder, or an fsspec URL. A stopped study goes on from what is there.
     """
 
+    name: ClassVar[str]
     seeds: int = 5
     first_seed: int = 0
     steps: int = PAPER_STEPS
@@ -285,6 +292,13 @@ class CaseStudies(StudyOptions):
 
 
 @dataclass(frozen=True)
+class Algorithms(StudyOptions):
+    """Section III-A: PPO, A2C, TRPO and DDPG with and without curiosity; RND beside ICM."""
+
+    name: ClassVar = "algorithms"
+
+
+@dataclass(frozen=True)
 class Study:
     """Train many runs and report what they show, with statistics over seeds.
 
@@ -296,6 +310,7 @@ class Study:
         Annotated[CuriosityRatio, tyro.conf.subcommand("curiosity-ratio")]
         | Annotated[Penalty, tyro.conf.subcommand("penalty")]
         | Annotated[CaseStudies, tyro.conf.subcommand("case-studies")]
+        | Annotated[Algorithms, tyro.conf.subcommand("algorithms")]
     ]
 
 
@@ -368,13 +383,13 @@ def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
     return 0
 
 
-def _study(options: CuriosityRatio | Penalty | CaseStudies, typed: str) -> int:
+def _study(options: StudyOptions, typed: str) -> int:
     options.check()
     from trainer.studies import executors, plan, study
     from trainer.studies.ray_executor import RayExecutor
     from trainer.studies.store import Store
 
-    studies = {each.name: each for each in (plan.CURIOSITY_RATIO, plan.PENALTY, plan.CASE_STUDIES)}
+    studies = {each.name: each for each in plan.STUDIES}
     executor: executors.Executor
     if options.executor == "ray":
         executor = RayExecutor(options.address)

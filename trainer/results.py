@@ -20,6 +20,7 @@ PACKAGES = (
     "curious-corridor",
     "mlagents-envs",
     "stable-baselines3",
+    "sb3-contrib",
     "torch",
     "gymnasium",
     "numpy",

@@ -1,6 +1,7 @@
 """A training run: player -> stages -> PPO, with progress, checkpoints and a clean stop."""
 
 import signal
+import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass
@@ -9,28 +10,34 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from trainer.algorithms import WINDOW, build_algorithm, steps_per_update
 from trainer.checkpoint import latest_checkpoint, load_checkpoint, save_checkpoint
 from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
-from trainer.lean_ppo import LeanPPO
 from trainer.players import EpisodeMonitor
 from trainer.progress import ProgressDisplay, Snapshot
 from trainer.results import ProgressFile, RunFolder
 from trainer.signals import uninterrupted
 
-WINDOW = 100  # episodes that running means are over
 ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
 CHECKPOINT_STEPS = 500_000
 OBSERVATION_CLIP = 10.0
+NEVER = sys.maxsize  # for an off-policy algorithm, whose log_interval counts episodes; its rows are _Recorder's
+CURIOSITY_TAGS = {
+    "forward_loss": "Losses/Curiosity Forward Loss",
+    "inverse_loss": "Losses/Curiosity Inverse Loss",
+    "rnd_loss": "Losses/RND Loss",
+    "reward": "rollout/intrinsic_reward",
+}
 
 
 @dataclass
@@ -79,45 +86,25 @@ class Stages:
     player: VecEnv
     normaliser: VecNormalize
     curiosity: Curiosity | None
-    model: PPO
+    model: BaseAlgorithm
 
 
 def build_stages(config: RunConfig, player: VecEnv) -> Stages:
-    """Puts monitoring, normalisation (eq. 7), curiosity and PPO on an environment.
+    """Puts monitoring, normalisation (eq. 7), curiosity and the algorithm on an environment.
 
     Raises:
-        TrainerError: Curiosity can't take the environment's observations or actions.
+        TrainerError: Curiosity or the algorithm can't take the environment's observations or actions.
     """
     torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
-    ppo = config.ppo
     normaliser = ObservationNormaliser(EpisodeMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
     top: VecEnv = normaliser
     curiosity = None
     if config.curiosity.c > 0:
         try:
-            top = curiosity = Curiosity(normaliser, config.curiosity, ppo.n_steps, config.seed)
+            top = curiosity = Curiosity(normaliser, config.curiosity, steps_per_update(config), config.seed)
         except ValueError as error:
             raise TrainerError(f"{error} Or train without curiosity: --c 0.") from error
-    algorithm = LeanPPO if isinstance(player.action_space, spaces.Box) else PPO
-    model = algorithm(
-        "MlpPolicy",
-        top,
-        n_steps=ppo.n_steps,
-        batch_size=ppo.n_steps * player.num_envs // ppo.minibatches,
-        n_epochs=ppo.epochs,
-        learning_rate=(lambda remaining: ppo.learning_rate * remaining) if ppo.anneal else ppo.learning_rate,
-        gamma=ppo.gamma,
-        gae_lambda=ppo.gae_lambda,
-        clip_range=ppo.clip_range,
-        clip_range_vf=ppo.clip_range_vf,
-        ent_coef=ppo.ent_coef,
-        vf_coef=ppo.vf_coef,
-        max_grad_norm=ppo.max_grad_norm,
-        policy_kwargs={"net_arch": {"pi": [ppo.hidden_size] * 2, "vf": [ppo.hidden_size] * 2}},
-        stats_window_size=WINDOW,
-        seed=config.seed,
-        device="cpu",
-    )
+    model = build_algorithm(config, top)
     return Stages(player, normaliser, curiosity, model)
 
 
@@ -137,7 +124,8 @@ def train(config: RunConfig, folder: RunFolder, stages: Stages, counters: Counte
         TrainerError: The player failed; the checkpoint is saved all the same.
     """
     model = stages.model
-    update_steps = config.ppo.n_steps * stages.player.num_envs
+    update_steps = steps_per_update(config) * stages.player.num_envs
+    updates_a_row = max(1, ROW_STEPS // update_steps)
     outputs = [ProgressFile(folder.progress, counters.env_steps), TensorBoardOutputFormat(str(folder.tensorboard))]
     model.set_logger(Logger(str(folder.path), outputs))
     with ProgressDisplay(config, counters.env_steps) as display, _StopSignals() as signals:
@@ -145,7 +133,7 @@ def train(config: RunConfig, folder: RunFolder, stages: Stages, counters: Counte
             model.learn(
                 max(config.steps - counters.env_steps, 0),
                 callback=_Recorder(stages, folder, counters, display, signals),
-                log_interval=max(1, ROW_STEPS // update_steps),
+                log_interval=NEVER if isinstance(model, OffPolicyAlgorithm) else updates_a_row,
                 reset_num_timesteps=False,
             )
         finally:
@@ -190,6 +178,7 @@ class _Recorder(BaseCallback):
             name: deque(maxlen=WINDOW) for name in ("return", "length", "success", "curiosity_return")
         }
         self._next_checkpoint = counters.env_steps + CHECKPOINT_STEPS
+        self._next_row = counters.env_steps + ROW_STEPS
         self._earlier_seconds = counters.wall_seconds
         self._earlier_restarts = counters.restarts
         self._started = time.monotonic()
@@ -227,19 +216,24 @@ class _Recorder(BaseCallback):
             "Policy/Extrinsic Reward": means.get("return"),
             "Policy/Curiosity Reward": means.get("curiosity_return"),
         }
-        intrinsic = None
-        if self._stages.curiosity is not None:
-            metrics = self._stages.curiosity.metrics
-            tags["Losses/Curiosity Forward Loss"] = metrics["forward_loss"]
-            tags["Losses/Curiosity Inverse Loss"] = metrics["inverse_loss"]
-            tags["rollout/intrinsic_reward"] = intrinsic = metrics["reward"]
+        metrics = {} if self._stages.curiosity is None else self._stages.curiosity.metrics
+        tags |= {CURIOSITY_TAGS[name]: value for name, value in metrics.items()}
         self.logger.record("rollout/episodes", self._counters.episodes)
         for tag, value in tags.items():
             if value is not None:
                 self.logger.record(tag, value)
         self._display.update(
-            Snapshot(self.num_timesteps, means.get("return"), means.get("success"), means.get("length"), intrinsic)
+            Snapshot(
+                self.num_timesteps,
+                means.get("return"),
+                means.get("success"),
+                means.get("length"),
+                metrics.get("reward"),
+            )
         )
+        if isinstance(self.model, OffPolicyAlgorithm) and self.num_timesteps >= self._next_row:
+            self._next_row += ROW_STEPS
+            self.model.dump_logs()
         if self.num_timesteps >= self._next_checkpoint:
             self._next_checkpoint += CHECKPOINT_STEPS
             _save(self._folder, self._stages, self._counters)

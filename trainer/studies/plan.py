@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trainer.config import Algorithm, PresetName, RunConfig, preset_run
+from trainer.config import Algorithm, Intrinsic, PresetName, RunConfig, preset_run
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,7 @@ class Arm:
         penalty: What a failed episode costs on top.
         gamma: Discount factor; the preset's if None.
         algo: The learning algorithm.
+        intrinsic: What curiosity is paid for.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Arm:
     penalty: float = 1.0
     gamma: float | None = None
     algo: Algorithm = "ppo"
+    intrinsic: Intrinsic = "icm"
 
     def run(self, preset: PresetName, steps: int, seed: int) -> RunConfig:
         """One of its runs."""
@@ -37,6 +39,7 @@ class Arm:
             steps=steps,
             penalty=self.penalty,
             algo=self.algo,
+            intrinsic=self.intrinsic,
         )
         if self.gamma is not None:
             config = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, gamma=self.gamma))
@@ -50,7 +53,7 @@ class CurveFigure:
     Attributes:
         name: ``figure5`` gives ``figure5a.png`` and ``figure5b.png``.
         title: What it compares.
-        colours: Arm names and the paper's colours for them, in the legend's order.
+        colours: Arm names and colours for them (the paper's, if it has any), in the legend's order.
     """
 
     name: str
@@ -117,3 +120,29 @@ CASE_STUDIES = Study(
     (FIGURE_5, FIGURE_6),
     _RATIO_CLAIMS + _PENALTY_CLAIMS,
 )
+
+_COLOURS = {"ppo": BLUE, "a2c": RED, "trpo": GREEN, "ddpg": PURPLE}
+_OTHERS: tuple[Algorithm, ...] = ("a2c", "trpo", "ddpg")
+_CURIOUS = tuple(Arm(f"{algo}-c0.3", f"{algo.upper()}, c = 0.3", 0.3, algo=algo) for algo in _OTHERS)
+_INCURIOUS = tuple(Arm(f"{algo}-c0", f"{algo.upper()}, c = 0", 0.0, algo=algo) for algo in _OTHERS)
+RND = Arm("rnd-c0.3", "PPO with RND, c = 0.3", 0.3, intrinsic="rnd")
+
+ALGORITHMS = Study(
+    "algorithms",
+    "Other algorithms (section III-A), and another intrinsic reward (section II-B)",
+    (C03, RND, *_CURIOUS, BASE, *_INCURIOUS),
+    (
+        CurveFigure(
+            "curious-",
+            "With curiosity",
+            {C03.name: BLUE, RND.name: "#e8850c", **{arm.name: _COLOURS[arm.algo] for arm in _CURIOUS}},
+        ),
+        CurveFigure(
+            "incurious-",
+            "Without curiosity",
+            {BASE.name: BLUE, **{arm.name: _COLOURS[arm.algo] for arm in _INCURIOUS}},
+        ),
+    ),
+)
+
+STUDIES = (CURIOSITY_RATIO, PENALTY, CASE_STUDIES, ALGORITHMS)

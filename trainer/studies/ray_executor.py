@@ -1,9 +1,10 @@
 """A study's runs as tasks on a Ray cluster, each with one CPU, retried elsewhere if its node is lost."""
 
 import os
-import socket
 from collections.abc import Generator, Sequence
 from typing import Any
+
+import grpc
 
 from trainer.errors import TrainerError
 from trainer.studies.executors import Attempt, Outcome, Task, Update
@@ -62,14 +63,17 @@ class RayExecutor:
             ray.shutdown()
 
     def _check_reachable(self, address: str) -> None:
-        host, _, port = address.removeprefix("ray://").rpartition(":")
+        """Ray itself would try for minutes."""
+        channel = grpc.insecure_channel(address.removeprefix("ray://"))
         try:
-            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
-        except (OSError, ValueError) as error:
+            grpc.channel_ready_future(channel).result(CONNECT_SECONDS)
+        except grpc.FutureTimeoutError as error:
             raise TrainerError(
-                f"Nobody answers at --address {address} ({error}); give the HOST:PORT that 'ray start --head' printed, "
+                f"No Ray cluster answers at --address {address}; give the HOST:PORT that 'ray start --head' printed, "
                 "or leave --address out to start a cluster here."
             ) from error
+        finally:
+            channel.close()
 
 
 def _execute(task: Task) -> Outcome:

@@ -184,11 +184,12 @@ class Report:
     def _write_runs(self, path: Path) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["run_id", "arm", "algo", "c", "penalty", "gamma", "seed", *CURVE_COLUMNS])
+            writer.writerow(["run_id", "arm", "algo", "intrinsic", "c", "penalty", "gamma", "seed", *CURVE_COLUMNS])
             for arm in self.study.arms:
                 for run in self.runs[arm.name]:
                     config = run.config
-                    fixed = [config.run_id, arm.name, config.algo, config.curiosity.c, config.penalty]
+                    curiosity = config.curiosity
+                    fixed = [config.run_id, arm.name, config.algo, curiosity.intrinsic, curiosity.c, config.penalty]
                     fixed += [config.ppo.gamma, config.seed]
                     for row in run.rows:
                         writer.writerow([*fixed, *(row[column] for column in CURVE_COLUMNS)])
