@@ -299,6 +299,30 @@ class Algorithms(StudyOptions):
 
 
 @dataclass(frozen=True)
+class DoseResponse(StudyOptions):
+    """What the claims depend on: c from 0 to 2; gamma, with and without the penalty, with and without curiosity."""
+
+    name: ClassVar = "dose-response"
+
+
+@dataclass(frozen=True)
+class Generalise:
+    """Trained policies in corridors that they never saw: faster opponents, narrower, switch and start moved, more.
+
+    Attributes:
+        runs: Finished runs, by id or path: one, or several seeds of the same settings.
+        episodes: To play in each changed corridor.
+        timeout_wait: Seconds to wait for the player.
+        results_dir: Where runs are kept; the report goes to RESULTS_DIR/generalise.
+    """
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    episodes: int = 100
+    timeout_wait: int = 60
+    results_dir: Path = Path("results")
+
+
+@dataclass(frozen=True)
 class Study:
     """Train many runs and report what they show, with statistics over seeds.
 
@@ -311,6 +335,8 @@ class Study:
         | Annotated[Penalty, tyro.conf.subcommand("penalty")]
         | Annotated[CaseStudies, tyro.conf.subcommand("case-studies")]
         | Annotated[Algorithms, tyro.conf.subcommand("algorithms")]
+        | Annotated[DoseResponse, tyro.conf.subcommand("dose-response")]
+        | Annotated[Generalise, tyro.conf.subcommand("generalise")]
     ]
 
 
@@ -346,6 +372,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
     if isinstance(command, Study):
+        if isinstance(command.what, Generalise):
+            return _generalise(command.what, typed)
         return _study(command.what, typed)
     if isinstance(command, Bench):
         from trainer.bench import run_bench
@@ -408,6 +436,26 @@ def _study(options: StudyOptions, typed: str) -> int:
         console=Console(),
     )
     return 0 if finished else 1
+
+
+def _generalise(options: Generalise, typed: str) -> int:
+    if not options.runs:
+        raise TrainerError("Which run's policy? Give a run's id, or several: corridor study generalise RUN ...")
+    for name, value in (("episodes", options.episodes), ("timeout-wait", options.timeout_wait)):
+        if value < 1:
+            raise TrainerError(f"--{name} is {value}, but a whole number from 1 up was expected.")
+    folders = [RunFolder.find(run, options.results_dir) for run in options.runs]
+    from trainer.studies.generalise import run_generalise
+
+    run_generalise(
+        folders,
+        options.results_dir / "generalise",
+        episodes=options.episodes,
+        timeout_wait=options.timeout_wait,
+        command=typed,
+        console=Console(),
+    )
+    return 0
 
 
 if __name__ == "__main__":

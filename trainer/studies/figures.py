@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from trainer.studies.bootstrap import band
-from trainer.studies.results import RunResult, curves
+from trainer.studies.bootstrap import band, interval
+from trainer.studies.plan import DoseFigure
+from trainer.studies.results import RunResult, curves, scores
 
 # The paper's two rows: (letter, column of progress.csv, title, unit).
 PANELS = (
@@ -59,6 +60,37 @@ def learning_curves(
     tidy(axes)
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def dose_response(runs: Mapping[str, Sequence[RunResult]], spec: DoseFigure, generator: np.random.Generator) -> Figure:
+    """Success and episode length of the evaluation against a setting: interquartile means and 95% intervals.
+
+    Args:
+        runs: By arm name.
+        spec: What to show.
+        generator: For the bootstrap.
+    """
+    figure = new_figure(9.0, 3.9)
+    for index, (measure, title) in enumerate((("success_rate", "success"), ("mean_episode_length", "episode length"))):
+        axes = figure.add_subplot(1, 2, index + 1)
+        for line, (label, points) in enumerate(spec.lines.items()):
+            known = [(value, scores(runs[arm.name], measure)) for value, arm in points]
+            found = [(value, interval(values, generator)) for value, values in known if len(values)]
+            if found:
+                at = [value for value, _ in found]
+                middles = [estimate.value for _, estimate in found]
+                spread = [[each.value - each.low for _, each in found], [each.high - each.value for _, each in found]]
+                axes.errorbar(at, middles, spread, marker="o", capsize=3, color=f"C{line}", label=label)
+            for value, values in known:
+                axes.plot([value] * len(values), values, ".", color=f"C{line}", alpha=0.35)
+        axes.set_title(title)
+        axes.set_xlabel(spec.setting)
+        axes.set_ylabel("share of episodes" if index == 0 else "decisions")
+        tidy(axes)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 

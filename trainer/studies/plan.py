@@ -62,6 +62,23 @@ class CurveFigure:
 
 
 @dataclass(frozen=True)
+class DoseFigure:
+    """Success and episode length against a setting.
+
+    Attributes:
+        name: Of its PNG file.
+        title: What it shows.
+        setting: The horizontal axis.
+        lines: For each line's label, the setting's values with the arms that have them.
+    """
+
+    name: str
+    title: str
+    setting: str
+    lines: dict[str, tuple[tuple[float, Arm], ...]]
+
+
+@dataclass(frozen=True)
 class Study:
     """What is compared, and what for.
 
@@ -71,6 +88,7 @@ class Study:
         arms: What is compared.
         figures: Learning curves to draw.
         claims: Ids of the claims that it decides.
+        doses: Dose-response curves to draw.
     """
 
     name: str
@@ -78,6 +96,7 @@ class Study:
     arms: tuple[Arm, ...]
     figures: tuple[CurveFigure, ...] = ()
     claims: tuple[str, ...] = ()
+    doses: tuple[DoseFigure, ...] = ()
 
     def runs(self, preset: PresetName, steps: int, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
         """The study's runs by arm name, one a seed."""
@@ -145,4 +164,33 @@ ALGORITHMS = Study(
     ),
 )
 
-STUDIES = (CURIOSITY_RATIO, PENALTY, CASE_STUDIES, ALGORITHMS)
+_BY_C = (BASE, C01, C03, C05, *(Arm(f"c{c:g}", f"c = {c:g}", c) for c in (0.75, 1.0, 1.5, 2.0)))
+_BY_GAMMA = {
+    f"{label}, {'with' if penalty else 'without'} penalty": tuple(
+        (
+            gamma,
+            Arm(
+                f"c{c:g}-gamma{gamma:g}" + ("" if penalty else "-no-penalty"),
+                f"{label}, gamma = {gamma:g}" + ("" if penalty else ", no penalty"),
+                c,
+                penalty,
+                gamma,
+            ),
+        )
+        for gamma in (0.98, 0.99, 0.995, 0.998)
+    )
+    for c, label in ((0.3, "c = 0.3"), (0.0, "base PPO"))
+    for penalty in (1.0, 0.0)
+}
+
+DOSE_RESPONSE = Study(
+    "dose-response",
+    "What the claims depend on: the curiosity ratio from 0 to 2, and gamma with and without the penalty",
+    (*_BY_C, *(arm for line in _BY_GAMMA.values() for _, arm in line)),
+    doses=(
+        DoseFigure("dose-c", "Curiosity ratio", "c", {"with penalty": tuple((arm.c, arm) for arm in _BY_C)}),
+        DoseFigure("dose-gamma", "Discount factor and penalty", "gamma", _BY_GAMMA),
+    ),
+)
+
+STUDIES = (CURIOSITY_RATIO, PENALTY, CASE_STUDIES, ALGORITHMS, DOSE_RESPONSE)

@@ -201,6 +201,9 @@ class Report:
                 generator = np.random.default_rng(BOOTSTRAP_SEED)
                 figure = figures.learning_curves(self.runs, spec.colours, labels, column, title, unit, generator)
                 figures.save(figure, folder / f"{spec.name}{letter}.png")
+        for dose in self.study.doses:
+            figure = figures.dose_response(self.runs, dose, np.random.default_rng(BOOTSTRAP_SEED))
+            figures.save(figure, folder / f"{dose.name}.png")
 
     def _markdown(self, claims: list[dict[str, Any]]) -> str:
         sections = [self._headline(), self._claims_section(claims), self._results_section(), *self._figure_sections()]
@@ -253,6 +256,14 @@ class Report:
                 "Thick: interquartile mean over seeds; band: its 95% bootstrap interval; thin: single runs.",
             ]
             for spec in self.study.figures
+        ] + [
+            [
+                f"## {dose.title}",
+                "",
+                f"![{dose.title}]({dose.name}.png)\n",
+                "Lines: interquartile means over seeds with 95% bootstrap intervals; dots: single runs.",
+            ]
+            for dose in self.study.doses
         ]
 
     def _runs_section(self) -> list[str]:

@@ -1,0 +1,344 @@
+"""``corridor study generalise``: trained policies, without further training, on corridors that they never saw.
+
+The changes reach the player as environment parameters; the number of opponents, which a connection can't change, by its
+configuration file. A policy's observation holds one opponent, so with more it is shown the nearest: the one that eq. 9
+counts.
+"""
+
+import csv
+import dataclasses
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from corridor_server.config import CorridorConfig
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+from trainer.evaluation import evaluate, summarise
+from trainer.players import open_player
+from trainer.results import RunFolder
+from trainer.run import EVALUATION_SEED_OFFSET
+from trainer.studies.bootstrap import Estimate, interval
+from trainer.studies.claims import BOOTSTRAP_SEED
+from trainer.studies.executors import free_port
+from trainer.studies.figures import new_figure, save
+from trainer.training import build_stages, resume
+from trainer.unity import BUILTIN
+
+AREAS = 64
+OWN, PER_OPPONENT, DISTANCE = 8, 5, 2  # eq. 10's observation: the learner's part, an opponent's, p_op before d_op
+SPEEDS = (0.5, 0.75, 1.0, 1.5, 2.0)
+WIDTHS = (1.0, 0.8, 0.6)
+SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)
+SIDES = (1.0, 0.0, -1.0)
+OPPONENTS = (1, 2, 3)
+MEASURES = ("success_rate", "opponent_contact_rate", "wall_contact_rate", "mean_return", "mean_episode_length")
+
+
+@dataclass(frozen=True)
+class Change:
+    """How a corridor differs from the one that the policy was trained on.
+
+    Attributes:
+        row: Its row's label in a heat map.
+        column: Its column's.
+        parameters: Environment parameters.
+        opponents: How many; None for as many as in training.
+    """
+
+    row: str
+    column: str
+    parameters: dict[str, float] = field(default_factory=dict)
+    opponents: int | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A heat map: changes in rows and columns.
+
+    Attributes:
+        title: What changes.
+        rows: What a row is.
+        columns: What a column is.
+        changes: Row by row.
+    """
+
+    title: str
+    rows: str
+    columns: str
+    changes: list[list[Change]]
+
+
+class NearestOpponent(VecEnvWrapper):
+    """Shows the learner's own part of eq. 10 and the nearest opponent's, whatever the number of opponents.
+
+    Args:
+        venv: Environments with observations of 8 + 5K floats.
+
+    Raises:
+        TrainerError: Its observations have another form.
+    """
+
+    def __init__(self, venv: VecEnv) -> None:
+        shape = venv.observation_space.shape or ()
+        if len(shape) != 1 or shape[0] < OWN + PER_OPPONENT or (shape[0] - OWN) % PER_OPPONENT:
+            raise TrainerError(f"corridor study generalise is for the corridor, not for observations of shape {shape}.")
+        low, high = -np.inf, np.inf
+        super().__init__(venv, observation_space=spaces.Box(low, high, (OWN + PER_OPPONENT,), np.float32))
+
+    def reset(self) -> VecEnvObs:
+        """Begins an episode in every slot."""
+        return nearest(np.asarray(self.venv.reset()))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Also of the last observations of episodes that ended."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        for slot in np.flatnonzero(dones):
+            infos[slot]["terminal_observation"] = nearest(infos[slot]["terminal_observation"][None])[0]
+        return nearest(np.asarray(observations)), rewards, dones, infos
+
+
+def nearest(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n, 13) of (n, 8 + 5K): the first eight floats, and the five of the opponent whose distance is smallest."""
+    opponents = observations[:, OWN:].reshape(len(observations), -1, PER_OPPONENT)
+    chosen = opponents[np.arange(len(observations)), opponents[:, :, DISTANCE].argmin(axis=1)]
+    return np.concatenate((observations[:, :OWN], chosen), axis=1)
+
+
+def panels(config: RunConfig) -> list[Panel]:
+    """What is tried with a run's policy; numbers relative to the corridor that it was trained on."""
+    known = dataclasses.asdict(CorridorConfig())
+    for name in ("agent_spawn_x",):
+        known[f"{name}_min"], known[f"{name}_max"] = known.pop(name)
+    numbers = {name: value for name, value in config.environment_parameters.items() if isinstance(value, int | float)}
+    for end in ("min", "max"):
+        known[f"agent_spawn_x_{end}"] = numbers.get("agent_spawn_x", known[f"agent_spawn_x_{end}"])
+    known |= numbers
+
+    def scaled(factor: float, *names: str) -> dict[str, float]:
+        return {name: known[name] * factor for name in names}
+
+    def moved(metres: float, *names: str) -> dict[str, float]:
+        return {name: known[name] + metres for name in names}
+
+    across = ("half_width", "spawn_z", "goal_z", "opponent_target_z", "switch_z")
+    start = ("agent_spawn_x_min", "agent_spawn_x_max")
+    found = [
+        Panel(
+            "Opponent's speed, corridor's width",
+            "width",
+            "opponent's speed",
+            [
+                [
+                    Change(f"x{width:g}", f"x{speed:g}", scaled(width, *across) | scaled(speed, "opponent_speed"))
+                    for speed in SPEEDS
+                ]
+                for width in WIDTHS
+            ],
+        ),
+        Panel(
+            "Place of the switch",
+            "switch across (z)",
+            "switch along (x), m",
+            [
+                [
+                    Change(f"x{side:g}", f"{shift:+g}", moved(shift, "switch_x") | scaled(side, "switch_z"))
+                    for shift in SHIFTS
+                ]
+                for side in SIDES
+            ],
+        ),
+        Panel(
+            "Start of the learner",
+            "",
+            "start along (x), m",
+            [[Change("", f"{shift:+g}", moved(shift, *start)) for shift in SHIFTS]],
+        ),
+    ]
+    if config.env == BUILTIN:
+        found.append(
+            Panel(
+                "Number of opponents",
+                "opponents",
+                "opponents' speed",
+                [
+                    [Change(f"{count}", f"x{speed:g}", scaled(speed, "opponent_speed"), count) for speed in SPEEDS]
+                    for count in OPPONENTS
+                ],
+            )
+        )
+    return found
+
+
+def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, timeout_wait: int) -> dict[str, Any]:
+    """Evaluates a run's policy in a changed corridor; the ``evaluation`` of ``summary.json``.
+
+    Raises:
+        TrainerError: There is no checkpoint, or the player failed.
+    """
+    config = dataclasses.replace(
+        config, environment_parameters={**config.environment_parameters, **change.parameters}, num_envs=1
+    )
+    if config.env == BUILTIN:
+        config = dataclasses.replace(config, through_gym=False, num_areas=min(AREAS, episodes))
+    with tempfile.TemporaryDirectory() as temporary:
+        if change.opponents is not None:
+            file = Path(temporary) / "corridor.json"
+            file.write_text(json.dumps({"num_opponents": change.opponents}), encoding="utf-8")
+            config = dataclasses.replace(config, env_args=[*config.env_args, "--config", str(file)])
+        seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
+        with open_player(config, Path(temporary), seed=seed, port=free_port(), timeout_wait=timeout_wait) as (
+            player,
+            _,
+        ):
+            shown = NearestOpponent(player)
+            stages = build_stages(config, shown)
+            resume(folder, stages)
+            return summarise(evaluate(stages.model, stages.normaliser, shown, episodes))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What all runs made of one change.
+
+    Attributes:
+        panel: The panel's title.
+        change: The change.
+        evaluations: One a run.
+    """
+
+    panel: str
+    change: Change
+    evaluations: list[dict[str, Any]]
+
+    def estimate(self, measure: str) -> Estimate:
+        """Over the runs."""
+        values = [evaluation[measure] for evaluation in self.evaluations]
+        return interval(values, np.random.default_rng(BOOTSTRAP_SEED))
+
+
+def run_generalise(
+    folders: Sequence[RunFolder], target: Path, *, episodes: int, timeout_wait: int, command: str, console: Console
+) -> None:
+    """Evaluates every run in every changed corridor, and writes ``report.md``, ``cells.csv`` and ``generalise.png``.
+
+    Raises:
+        TrainerError: A run has no checkpoint or another observation, or the target can't be written.
+    """
+    configs = [folder.read_config() for folder in folders]
+    for config, folder in zip(configs, folders, strict=True):
+        if not any(folder.checkpoints.glob("step-*.pt")):
+            raise TrainerError(f"The run {config.run_id} has no checkpoint in {folder.checkpoints}; train it first.")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        (target / "report.md").touch()
+    except OSError as error:
+        raise TrainerError(f"{target} can't be written ({error}); choose another with --results-dir.") from error
+    tried = [panels(config) for config in configs]
+    shown = [panel for panel in tried[0] if all(panel.title in [each.title for each in others] for others in tried)]
+    cells: list[list[list[Cell]]] = []
+    with Progress(console=console, disable=not console.is_terminal) as progress:
+        total = len(folders) * sum(len(row) for panel in shown for row in panel.changes)
+        task = progress.add_task("generalise", total=total)
+        for index, panel in enumerate(shown):
+            cells.append([])
+            for i, row in enumerate(panel.changes):
+                cells[-1].append([])
+                for j, change in enumerate(row):
+                    evaluations = []
+                    for folder, config, own in zip(folders, configs, tried, strict=True):
+                        own_change = own[index].changes[i][j]
+                        evaluations.append(play(folder, config, own_change, episodes, timeout_wait))
+                        progress.advance(task)
+                    cells[-1][-1].append(Cell(panel.title, change, evaluations))
+
+    save(heat_maps(shown, cells), target / "generalise.png")
+    _write_cells(cells, target / "cells.csv")
+    report = _report(shown, cells, [config.run_id for config in configs], episodes, command)
+    (target / "report.md").write_text(report, encoding="utf-8")
+    console.print(report, highlight=False, markup=False, soft_wrap=True)
+    console.print(f"Report: {target / 'report.md'}", highlight=False, soft_wrap=True)
+
+
+def heat_maps(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]]) -> Figure:
+    """Success above, opponent contact below; a column of maps for each panel."""
+    figure = new_figure(4.1 * len(shown), 5.6)
+    for index, (panel, grid) in enumerate(zip(shown, cells, strict=True)):
+        for line, (measure, title, colours) in enumerate(
+            (("success_rate", "success", "viridis"), ("opponent_contact_rate", "opponent contact", "magma_r"))
+        ):
+            axes = figure.add_subplot(2, len(shown), line * len(shown) + index + 1)
+            _heat_map(axes, panel, grid, measure, colours)
+            axes.set_title(f"{panel.title}\n{title}" if line == 0 else title, fontsize=10)
+    return figure
+
+
+def _heat_map(axes: Axes, panel: Panel, grid: Sequence[Sequence[Cell]], measure: str, colours: str) -> None:
+    values = np.array([[cell.estimate(measure).value for cell in row] for row in grid])
+    axes.imshow(values, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
+    dark = values < 0.55 if colours == "viridis" else values > 0.45
+    for i, row in enumerate(values):
+        for j, value in enumerate(row):
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", color="white" if dark[i, j] else "black")
+    axes.set_xticks(range(len(grid[0])), [cell.change.column for cell in grid[0]])
+    axes.set_yticks(range(len(grid)), [row[0].change.row for row in grid])
+    axes.set_xlabel(panel.columns)
+    axes.set_ylabel(panel.rows)
+
+
+def _write_cells(cells: Sequence[Sequence[Sequence[Cell]]], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["panel", "row", "column", "opponents", "parameters", "run", *MEASURES])
+        for cell in (cell for grid in cells for row in grid for cell in row):
+            change = cell.change
+            fixed = [cell.panel, change.row, change.column, change.opponents or "", json.dumps(change.parameters)]
+            for run, evaluation in enumerate(cell.evaluations):
+                writer.writerow([*fixed, run, *(evaluation[measure] for measure in MEASURES)])
+
+
+def _report(
+    shown: Sequence[Panel],
+    cells: Sequence[Sequence[Sequence[Cell]]],
+    run_ids: Sequence[str],
+    episodes: int,
+    command: str,
+) -> str:
+    lines = [
+        "# What the policy does in corridors that it never saw",
+        "",
+        f"`{command}`",
+        "",
+        f"Policies of {', '.join(run_ids)}, without further training; mean action, {episodes} episodes a cell and run.",
+        "Numbers are relative to the corridor of training; x1 and +0 are that corridor. In a narrower one the ranges",
+        "of start, target and switch across shrink with it. The switch's place is not in the observation, so a policy",
+        "can only know where it was. With several opponents the policy, whose observation holds one, is shown the",
+        "nearest.",
+        "",
+        "![Success and contact](generalise.png)",
+        "",
+    ]
+    for panel, grid in zip(shown, cells, strict=True):
+        head = [f"{panel.rows} \\ {panel.columns}" if panel.rows else panel.columns]
+        head += [cell.change.column for cell in grid[0]]
+        lines += [f"## {panel.title}", "", "Success / opponent contact / wall contact, shares of episodes.", ""]
+        lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+        for row in grid:
+            shares = [[cell.estimate(measure).value for measure in MEASURES[:3]] for cell in row]
+            numbers = [" / ".join(f"{share:.2f}" for share in each) for each in shares]
+            lines.append(f"| {' | '.join([row[0].change.row, *numbers])} |")
+        lines.append("")
+    return "\n".join(lines)
