@@ -13,10 +13,11 @@ import pytest
 from conftest import BIN
 from rich.console import Console
 
+from trainer.config import PRESETS
 from trainer.main import main
 from trainer.results import RunFolder
 from trainer.studies.executors import Attempt, LocalExecutor, Task
-from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, Arm, Study
+from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, STUDIES, Arm, Study
 from trainer.studies.store import Store
 from trainer.studies.study import run_study
 
@@ -188,6 +189,31 @@ def test_case_studies_train_what_both_need_once():
     names = [arm.name for arm in CASE_STUDIES.arms]
     assert len(names) == len(set(names)) == 6
     assert {arm.name for arm in CURIOSITY_RATIO.arms + PENALTY.arms} == set(names)
+
+
+@pytest.mark.parametrize("each", STUDIES, ids=lambda each: each.name)
+def test_arms_are_what_their_names_say(each):
+    names = [arm.name for arm in each.arms]
+    assert len(set(names)) == len(names)
+    for arm in each.arms:
+        config = arm.run("fast", 1_500_000, 7)
+        assert config.run_id == f"{arm.name}-seed7"
+        assert (config.seed, config.steps) == (7, 1_500_000)
+        assert (config.penalty == 0) == ("no-penalty" in arm.name)
+        assert config.algo == next((algo for algo in ("a2c", "trpo", "ddpg") if algo in arm.name), "ppo")
+        assert config.curiosity.intrinsic == ("rnd" if "rnd" in arm.name else "icm")
+        c, _, gamma = arm.name.removesuffix("-no-penalty").partition("-gamma")
+        assert config.curiosity.c == float(c.rpartition("c")[2])
+        assert config.ppo.gamma == (float(gamma) if gamma else PRESETS["fast"].ppo.gamma)
+
+
+def test_figures_show_arms_that_the_study_has():
+    for each in STUDIES:
+        names = {arm.name for arm in each.arms}
+        for figure in each.figures:
+            assert set(figure.colours) <= names
+        for dose in each.doses:
+            assert {arm.name for line in dose.lines.values() for _, arm in line} <= names
 
 
 @pytest.mark.parametrize(

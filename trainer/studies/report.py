@@ -37,6 +37,7 @@ COLUMNS = (
     ("opponent contact", "opponent_contact_rate", 2, 1.0),
     ("thousand steps to 50%", "steps_to_50_success", 0, 1e-3),
     ("thousand steps to 90%", "steps_to_90_success", 0, 1e-3),
+    ("minutes of learning", "wall_seconds", 1, 1 / 60),
 )
 IN_TERMINAL = (0, 1, 2, 5, 6)
 
@@ -233,7 +234,10 @@ class Report:
             rows.append([claim["id"], claim["statement"], "yes" if claim["holds"] else "**no**", claim["evidence"]])
         lines = ["## Claims of the paper", "", *_markdown_table(rows)]
         lines += ["", "What decides each, fixed before the runs:", ""]
-        return lines + [f"- {claim['id']}: {claim['measure']}." for claim in claims]
+        lines += [f"- {claim['id']}: {claim['measure']}." for claim in claims]
+        if not all(claim["holds"] for claim in claims):
+            lines += ["", "What a claim that does not hold depends on is what `corridor study dose-response` shows."]
+        return lines
 
     def _results_section(self) -> list[str]:
         return [
