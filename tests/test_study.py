@@ -26,7 +26,7 @@ SHORT = ("--seeds", 1, "--steps", 12_000, "--eval-episodes", 4)
 
 def study(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(BIN / "corridor"), "study", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+    return subprocess.run(command, capture_output=True, text=True, timeout=800)
 
 
 def run_ids(folder: Path) -> list[str]:
@@ -42,11 +42,11 @@ def penalty(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [str(BIN / "corridor"), "study", *map(str, options)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     folder = results / "penalty"
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while time.monotonic() < deadline and not run_ids(folder):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=300)
     assert process.returncode == 130
     assert "the same command goes on" in output
     before = run_ids(folder)
@@ -107,7 +107,7 @@ def test_runs_csv_has_every_runs_curve(penalty):
 def test_another_study_uses_the_runs_that_are_there(penalty):
     store = Store(str(penalty.parent))
     shared = [config for arm in CURIOSITY_RATIO.runs("fast", 12_000, [0]).values() for config in arm]
-    found = {config.run_id: store.find(config, "curiosity-ratio") for config in shared}
+    found = {config.run_id: store.find(config, "curiosity-ratio", 4) for config in shared}
     assert found == {"c0-seed0": None, "c0.1-seed0": None, "c0.3-seed0": f"{penalty}/c0.3-seed0", "c0.5-seed0": None}
 
 
@@ -120,11 +120,13 @@ def test_a_run_with_other_settings_is_not_overwritten(penalty, capsys):
 def test_half_a_run_is_not_a_finished_one(tmp_path):
     config, store = BASE.run("fast", 3_000, 0), Store(str(tmp_path))
     folder = RunFolder.prepare(config, tmp_path / "penalty", resume=False, force=False)
-    assert store.find(config, "penalty") is None
+    assert store.find(config, "penalty", 200) is None
     folder.write_summary({"evaluation": None})
-    assert store.find(config, "penalty") is None
-    folder.write_summary({"evaluation": {"success_rate": 1.0}})
-    assert store.find(config, "penalty") == str(folder.path)
+    assert store.find(config, "penalty", 200) is None
+    folder.write_summary({"evaluation": {"episodes": 20}})
+    assert store.find(config, "penalty", 200) is None
+    folder.write_summary({"evaluation": {"episodes": 200}})
+    assert store.find(config, "penalty", 200) == str(folder.path)
 
 
 class Broken(Arm):
@@ -166,7 +168,7 @@ def test_results_can_go_to_an_fsspec_url():
     outcomes = [outcome for update in updates for outcome in update.ended]
     assert [outcome.error for outcome in outcomes] == [None]
     store = Store(place)
-    path = store.find(config, "penalty")
+    path = store.find(config, "penalty", 2)
     assert path is not None
     assert store.load(path).measure("mean_episode_length") > 0
 
@@ -175,7 +177,7 @@ def test_results_can_go_to_an_fsspec_url():
 def test_a_run_ends_with_the_process_that_started_it(tmp_path):
     """What a worker sees of a killed study, or of a lost Ray node, is the end of its input."""
     attempt = Attempt(Task(BASE.run("fast", 10_000_000, 0), str(tmp_path), "penalty", 2, 30))
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not attempt.steps() and time.monotonic() < deadline:
         time.sleep(0.1)
     assert attempt.steps() > 0

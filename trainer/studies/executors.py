@@ -176,7 +176,7 @@ class Attempt:
         (self._folder / LOG).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(self._log, self._folder / LOG)
         try:
-            store.publish_run(self._folder, config, study)
+            store.publish_run(self._folder, config, study, self.task.episodes)
         except Exception as failure:  # every fsspec file system raises its own
             return Outcome(
                 config.run_id, f"its results can't be written to {self.task.place}: {failure}", str(self._log)

@@ -84,6 +84,10 @@ def dose_response(runs: Mapping[str, Sequence[RunResult]], spec: DoseFigure, gen
                 axes.errorbar(at, middles, spread, marker="o", capsize=3, color=f"C{line}", label=label)
             for value, values in known:
                 axes.plot([value] * len(values), values, ".", color=f"C{line}", alpha=0.35)
+        values_of_setting = sorted({value for points in spec.lines.values() for value, _ in points})
+        axes.set_xticks(values_of_setting, [f"{value:g}" for value in values_of_setting], fontsize="small")
+        if measure == "success_rate":
+            axes.set_ylim(-0.03, 1.03)
         axes.set_title(title)
         axes.set_xlabel(spec.setting)
         axes.set_ylabel("share of episodes" if index == 0 else "decisions")

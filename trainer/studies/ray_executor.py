@@ -78,7 +78,9 @@ class RayExecutor:
 
 def _execute(task: Task) -> Outcome:
     store = Store(task.place)
-    if store.find(task.config, task.study) is not None:  # published by an attempt whose node was lost just after
+    if (
+        store.find(task.config, task.study, task.episodes) is not None
+    ):  # published by an attempt whose node was lost just after
         return Outcome(task.config.run_id, None, task.place)
     attempt = Attempt(task)
     attempt.wait()
@@ -93,7 +95,7 @@ def _outcome(reference: Any, task: Task) -> Outcome:
         outcome: Outcome = ray.get(reference)
     except ray.exceptions.RayError as error:
         return Outcome(config.run_id, f"Ray gave it up: {' '.join(str(error).split())[:300]}", "Ray's, on its node")
-    if outcome.error is None and Store(task.place).find(config, task.study) is None:
+    if outcome.error is None and Store(task.place).find(config, task.study, task.episodes) is None:
         return Outcome(
             config.run_id,
             f"its results did not arrive at {task.place}; the nodes need a shared folder, or a URL for --results-dir",

@@ -51,8 +51,13 @@ class Store:
                 f"--results-dir {self.place} can't be written ({error}); choose another place, or log in to it."
             ) from error
 
-    def find(self, config: RunConfig, study: str) -> str | None:
+    def find(self, config: RunConfig, study: str, episodes: int) -> str | None:
         """The folder of a finished run with this configuration, in this study's folder or in another's.
+
+        Args:
+            config: The run.
+            study: Whose folder is looked into first.
+            episodes: Of its evaluation.
 
         Raises:
             TrainerError: The run's own place in this study holds something else.
@@ -61,7 +66,7 @@ class Store:
         others: list[str] = sorted(set(self.fs.glob(f"{self.root}/*/{config.run_id}")) - {own})
         for path in (own, *others):
             found = self._read_config(path)
-            if found == config and self._is_finished(path):
+            if found == config and self._is_finished(path, episodes):
                 return path
             if path == own and found != config and self._names_in(path) - {"run_logs"}:
                 raise TrainerError(
@@ -69,14 +74,14 @@ class Store:
                 )
         return None
 
-    def publish_run(self, folder: Path, config: RunConfig, study: str) -> None:
+    def publish_run(self, folder: Path, config: RunConfig, study: str, episodes: int) -> None:
         """Puts a run's folder in its place, whole or not at all (at a URL: ``summary.json`` last).
 
         Does nothing if the run is finished there already: a run is never in the results twice, even if a lost node
         turns out to be alive.
         """
         path = f"{self.root}/{study}/{config.run_id}"
-        if self._is_finished(path) and self._read_config(path) == config:
+        if self._is_finished(path, episodes) and self._read_config(path) == config:
             return
         if self.fs.exists(path):
             self.fs.rm(path, recursive=True)
@@ -87,7 +92,7 @@ class Store:
                 temporary.rename(path)
             except OSError:
                 shutil.rmtree(temporary)
-                if not self._is_finished(path):
+                if not self._is_finished(path, episodes):
                     raise
             return
         files = sorted(each for each in folder.rglob("*") if each.is_file())
@@ -138,8 +143,8 @@ class Store:
         except (OSError, TrainerError):
             return None
 
-    def _is_finished(self, path: str) -> bool:
+    def _is_finished(self, path: str, episodes: int) -> bool:
         try:
-            return bool(json.loads(self.fs.cat_file(f"{path}/summary.json"))["evaluation"])
+            return bool(json.loads(self.fs.cat_file(f"{path}/summary.json"))["evaluation"]["episodes"] == episodes)
         except (OSError, ValueError, KeyError, TypeError):
             return False

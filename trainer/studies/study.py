@@ -54,7 +54,7 @@ def run_study(
     executor.check()
     planned = study.runs(preset, steps, seeds)
     configs = [planned[arm.name][index] for index in range(len(seeds)) for arm in study.arms]
-    missing = [config for config in configs if store.find(config, study.name) is None]
+    missing = [config for config in configs if store.find(config, study.name, episodes) is None]
     tasks = [Task(config, store.place, study.name, episodes, timeout_wait) for config in missing]
     started = time.monotonic()
     ended: list[Outcome] = []
@@ -70,7 +70,7 @@ def run_study(
         console.print("Finished runs are kept; the same command goes on with the others.")
         raise
 
-    found = {name: [store.find(config, study.name) for config in arm] for name, arm in planned.items()}
+    found = {name: [store.find(config, study.name, episodes) for config in arm] for name, arm in planned.items()}
     runs = {name: [store.load(path) for path in paths if path is not None] for name, paths in found.items()}
     failures = [outcome for outcome in ended if outcome.error is not None]
     facts = Facts(
