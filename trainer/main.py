@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -413,6 +414,7 @@ def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
 
 def _study(options: StudyOptions, typed: str) -> int:
     options.check()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # stop as for Ctrl-C
     from trainer.studies import executors, plan, study
     from trainer.studies.ray_executor import RayExecutor
     from trainer.studies.store import Store

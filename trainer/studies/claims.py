@@ -177,7 +177,7 @@ CLAIMS = {
         ),
         Claim(
             "C5",
-            "The added penalty makes the start's return lower, but the solution come sooner, and a better one.",
+            "With the added penalty training starts at a lower return, but finds a solution sooner, and a better one.",
             "c = 0.3, steps to 50% success with the penalty minus without: 95% interval of the difference of IQMs is "
             "below 0 (a run that never gets there counts with all its steps); and IQM of evaluation success not lower",
             (C03, NO_PENALTY),

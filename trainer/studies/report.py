@@ -278,6 +278,14 @@ class Report:
             shown = (rates.get(seed) for seed in seeds)
             rows.append([arm.label, *("-" if rate is None else f"{rate:.2f}" for rate in shown)])
         lines = ["## Every run", "", "Success in the evaluation, by seed:", "", *_markdown_table(rows)]
+        elsewhere = [
+            f"{Path(run.path).parent.name}/{run.config.run_id}"
+            for runs in self.runs.values()
+            for run in runs
+            if Path(run.path).parent.name != self.study.name
+        ]
+        if elsewhere:
+            lines += ["", f"Taken from other studies in the same place: {', '.join(elsewhere)}."]
         if self.failures:
             lines += ["", "Failed:", "", *(f"- {_failure(failure)}" for failure in self.failures)]
         return lines
