@@ -73,7 +73,10 @@ def load_checkpoint(
         state = torch.load(path, weights_only=True)
     except Exception as error:  # torch raises many kinds for a broken file
         raise TrainerError(f"The checkpoint {path} can't be read; use an older one or train again.") from error
-    size, expected = len(state["normaliser"]["mean"]), len(_statistics(normaliser).mean)
+    try:
+        size, expected = len(state["normaliser"]["mean"]), len(_statistics(normaliser).mean)
+    except (KeyError, TypeError, IndexError) as error:
+        raise TrainerError(f"{path} is no checkpoint of a run; take it out of the folder.") from error
     if size != expected:
         raise TrainerError(
             f"The checkpoint {path} is for observations of {size} floats, but the player's have {expected}."

@@ -190,6 +190,21 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Write a trained run's policy as an ONNX file that Unity reads.
+
+    Attributes:
+        run: The run's id, or the path of its folder.
+        onnx: The file to write.
+        results_dir: Where runs are kept.
+    """
+
+    run: tyro.conf.Positional[str]
+    onnx: Path
+    results_dir: Path = Path("results")
+
+
+@dataclass(frozen=True)
 class Check:
     """Hold a player against the ML-Agents protocol, and against the corridor's contract.
 
@@ -345,6 +360,7 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Study, tyro.conf.subcommand("study")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
@@ -371,7 +387,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
+def _run(command: Train | Evaluate | Export | Study | Check | Bench, typed: str) -> int:
     if isinstance(command, Study):
         if isinstance(command.what, Generalise):
             return _generalise(command.what, typed)
@@ -402,6 +418,12 @@ def _run(command: Train | Evaluate | Study | Check | Bench, typed: str) -> int:
         return 0 if finished else INTERRUPTED
     folder = RunFolder.find(command.run, command.results_dir)
     config = folder.read_config()
+    if isinstance(command, Export):
+        from trainer.export import export_run
+
+        export_run(config, folder, command.onnx)
+        Console().print(f"Wrote {command.onnx}", highlight=False, soft_wrap=True)
+        return 0
     if command.episodes < 1:
         raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
     from trainer import run

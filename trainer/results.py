@@ -115,9 +115,30 @@ class RunFolder:
             TrainerError: ``configuration.yaml`` is missing or broken.
         """
         try:
-            return RunConfig.from_dict(yaml.safe_load(self.configuration.read_text(encoding="utf-8"))["run"])
-        except (OSError, yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
+            return RunConfig.from_dict(self._read_record()["run"])
+        except (KeyError, TypeError) as error:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
+
+    def _read_record(self) -> dict[str, Any]:
+        try:
+            record: dict[str, Any] = dict(yaml.safe_load(self.configuration.read_text(encoding="utf-8")))
+        except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
+            raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
+        return record
+
+    def record_behavior(self, behavior: dict[str, Any]) -> None:
+        """Adds to ``configuration.yaml`` what the player's behavior observes and does."""
+        record = yaml.safe_load(self.configuration.read_text(encoding="utf-8"))
+        _write(self.configuration, yaml.safe_dump({**record, "behavior": behavior}, sort_keys=False))
+
+    def read_behavior(self) -> dict[str, Any]:
+        """What ``record_behavior`` added; empty if it was not called.
+
+        Raises:
+            TrainerError: ``configuration.yaml`` is missing or broken.
+        """
+        behavior = self._read_record().get("behavior")
+        return behavior if isinstance(behavior, dict) else {}
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Writes ``summary.json`` whole or not at all."""

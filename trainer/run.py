@@ -6,6 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from trainer.behavior import behavior_record
 from trainer.config import RestartLimits, RunConfig
 from trainer.evaluation import Episode, evaluate, summarise
 from trainer.figures import save_episode_paths, save_learning_curve
@@ -42,6 +43,7 @@ def train_run(
         player,
         behavior,
     ):
+        folder.record_behavior(behavior_record(behavior, player.behavior_spec))
         stages = build_stages(config, player)
         counters = resume(folder, stages) if resumed else Counters()
         first_step = counters.env_steps

@@ -69,7 +69,7 @@ class UnityVecEnv(Areas):
         self._continuous = spec.action_spec.is_continuous()
         self._fresh = True  # only_behavior's reset began an episode that the first reset() gives out
         decision, _ = environment.get_steps(self.behavior)
-        super().__init__(len(decision), _observation_space(spec), _action_space(spec))
+        super().__init__(len(decision), observation_space(spec), action_space(spec))
         self._slots: dict[int, int] = {}
         self._in_order: NDArray[np.intp] = np.arange(self.num_envs)
         self._agent_ids: NDArray[np.int32] = decision.agent_id
@@ -212,14 +212,24 @@ def _vector(steps: DecisionSteps | TerminalSteps) -> NDArray[np.float32]:
     return np.asarray(observation, dtype=np.float32)
 
 
-def _observation_space(spec: BehaviorSpec) -> spaces.Box:
+def observation_space(spec: BehaviorSpec) -> spaces.Box:
+    """Several vectors are put one after another.
+
+    Raises:
+        TrainerError: There is another observation, or none.
+    """
     shapes: Sequence[tuple[int, ...]] = [tuple(observation.shape) for observation in spec.observation_specs]
     if not shapes or any(len(shape) != 1 for shape in shapes):
         raise TrainerError(f"The vector path takes vector observations, not shapes {shapes}; see UnityToGymWrapper.")
     return spaces.Box(-np.inf, np.inf, (sum(shape[0] for shape in shapes),), np.float32)
 
 
-def _action_space(spec: BehaviorSpec) -> spaces.Space[Any]:
+def action_space(spec: BehaviorSpec) -> spaces.Space[Any]:
+    """Box for continuous actions, Discrete for one discrete branch, MultiDiscrete for several.
+
+    Raises:
+        TrainerError: There are both kinds.
+    """
     action = spec.action_spec
     if action.is_continuous():
         return spaces.Box(-1.0, 1.0, (action.continuous_size,), np.float32)
