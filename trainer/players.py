@@ -309,8 +309,14 @@ def _one_area(config: RunConfig, environment: Environment, statistics: StatsSide
     try:
         wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
     except UnityGymException as error:
-        only_behavior(environment)  # which knows better what the build has to change
-        raise TrainerError(f"{error} Preset fast takes any number of agents.") from error
+        behavior, _ = only_behavior(environment)  # which knows better what a scene has to change
+        agents = max(map(len, environment.get_steps(behavior)))
+        if agents > 1:
+            raise TrainerError(
+                f"The player has {agents} agents, but preset {config.preset} trains one, through UnityToGymWrapper; "
+                "leave one agent in the scene, or take preset fast."
+            ) from error
+        raise TrainerError(str(error)) from error
     return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)])
 
 

@@ -275,7 +275,7 @@ def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
     if len(specs) != 1:
         raise TrainerError(
             f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; "
-            "give all agents the same Behavior Name."
+            "give all agents the same Behavior Name and team."
         )
     name, spec = next(iter(specs.items()))
     if is_corridor(name):
@@ -294,13 +294,15 @@ def _check_contract(spec: BehaviorSpec) -> None:
     if len(vector) != 1 or vector[0] < 13 or (vector[0] - 8) % 5:
         raise TrainerError(
             f"Behavior Corridor has observations of shapes {shapes}, but one vector of 8 + 5K floats for K opponents "
-            "(13 for one) was expected; check the player's eq. 10 and its vector observation size."
+            "(13 for one) was expected; set the vector observation's Space Size to that and "
+            "collect what docs/contract.md lists."
         )
     action = spec.action_spec
     if action.continuous_size != 2 or action.discrete_size:
         raise TrainerError(
             f"Behavior Corridor has {action.continuous_size} continuous actions and {action.discrete_size} discrete "
-            "branches, but 2 continuous actions and no discrete ones were expected."
+            "branches, but 2 continuous actions and no discrete ones were expected; set Continuous Actions to 2 and "
+            "Discrete Branches to 0 in the scene's Behavior Parameters."
         )
 
 
