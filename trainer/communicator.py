@@ -15,6 +15,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 import grpc
+import psutil
 from google.protobuf.message import DecodeError
 from mlagents_envs.communicator import Communicator
 from mlagents_envs.exception import (
@@ -29,7 +30,7 @@ from corridor_server.messages import SERVICE, UnityMessageProto
 
 OK, STOP = 200, 400
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
-POLL_SECONDS = 0.5
+POLL_SECONDS = 0.2
 EXIT_SECONDS = 2.0
 MAX_MESSAGE_BYTES = 256 * 2**20
 
@@ -153,11 +154,21 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
             except Empty:
                 if poll_callback is not None:
                     poll_callback()
+                if not self._connected():
+                    data = None
+                    break
                 if time.monotonic() >= deadline:
                     raise UnityTimeOutException(f"The player sent nothing for {self._timeout_wait:g} s.") from None
         if data is None:
             _wait_for_exit(poll_callback)
         return data
+
+    def _connected(self) -> bool:
+        """Whether the player's connection still stands; between two calls, gRPC itself does not tell."""
+        if self._peer is None or not self._peer.startswith(("ipv4:", "ipv6:")):
+            return True
+        port = int(self._peer.rpartition(":")[2])
+        return any(each.raddr and each.raddr.port == port for each in psutil.Process().net_connections("tcp"))
 
 
 class _DaemonPool(Executor):

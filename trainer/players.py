@@ -41,6 +41,7 @@ from trainer.unity import (
     log_path,
     only_behavior,
     open_environment,
+    place,
     player_errors,
 )
 from trainer.vec_env import Areas, UnityVecEnv
@@ -268,6 +269,9 @@ def open_player(
         player_seed = (seed + number * PLAYER_STRIDE + restarts * RESTART_STRIDE) % SEEDS
         return _open(config, logs, number, player_seed, port, timeout_wait)
 
+    first = place(config.env, port)[2]
+    if first + config.num_envs - 1 > 65535:
+        raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
     players = Players(start, config.num_envs, limits, logs, can_be_launched(config.env))
     try:
         with player_errors(log_path(logs, 0)):

@@ -201,7 +201,7 @@ def open_environment(
     file_name, host, port = place(env, port)
     port += number
     if not 1 <= port <= 65535:
-        raise TrainerError(f"Port {port} for player {number} does not exist; ports end at 65535.")
+        raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
     options: dict[str, Any] = {
         "seed": seed,
         "num_areas": num_areas,
