@@ -177,6 +177,7 @@ class Evaluate:
     Attributes:
         run: The run's id, or the path of its folder.
         episodes: How many episodes to play.
+        env: Another environment than the run's, as in corridor train.
         base_port: Port on which a launched player finds the trainer.
         timeout_wait: Seconds to wait for the player.
         results_dir: Where runs are kept.
@@ -184,6 +185,7 @@ class Evaluate:
 
     run: tyro.conf.Positional[str]
     episodes: int = 200
+    env: str | None = None
     base_port: int = 5005
     timeout_wait: int = 60
     results_dir: Path = Path("results")
@@ -424,6 +426,8 @@ def _run(command: Train | Evaluate | Export | Study | Check | Bench, typed: str)
         export_run(config, folder, command.onnx)
         Console().print(f"Wrote {command.onnx}", highlight=False, soft_wrap=True)
         return 0
+    if command.env is not None:
+        config = dataclasses.replace(config, env=command.env)
     if command.episodes < 1:
         raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
     from trainer import run
