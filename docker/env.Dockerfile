@@ -2,10 +2,12 @@
 ARG PYTHON_IMAGE=python:3.11-slim
 FROM ${PYTHON_IMAGE}
 WORKDIR /app
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY pyproject.toml constraints.txt LICENSE ./
+# What it needs, in a layer of its own: a change of the source does not install it again.
+RUN touch README.md && mkdir -p corridor_server trainer/conformance && pip install --no-cache-dir --constraint constraints.txt .
 COPY corridor_server corridor_server
 COPY trainer trainer
-RUN pip install --no-cache-dir --constraint constraints.txt . && rm -rf /app/* /root/.cache
+RUN pip install --no-cache-dir --no-deps --force-reinstall . && rm -rf /app/* /root/.cache
 COPY docker/players.py /usr/local/bin/players.py
 # Unity writes to its home; the root file system is read-only, /tmp is not.
 ENV PYTHONUNBUFFERED=1 HOME=/tmp
