@@ -212,7 +212,7 @@ class Players(Areas):
         times.append(now)
         again = "It is started again" if self._launched else "Waiting for it to dial in again"
         self._console.print(
-            f"Player {number}: {reason} {again} (restart {len(times)}).", highlight=False, soft_wrap=True
+            f"Player {number}: {reason} {again} (restart {len(times)}).", markup=False, highlight=False, soft_wrap=True
         )
 
     def _check_alike(self, number: int, player: Player) -> None:

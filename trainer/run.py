@@ -52,7 +52,7 @@ def train_run(
         if finished and not can_be_launched(config.env):
             evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
     if finished and evaluated is None:
-        with _evaluation_player(config, folder, port, timeout_wait) as (player, _):
+        with _evaluation_player(config, folder, port, timeout_wait, limits) as (player, _):
             evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
 
     seconds = counters.wall_seconds - first_second
@@ -90,7 +90,7 @@ def evaluate_run(config: RunConfig, folder: RunFolder, *, port: int, timeout_wai
     Raises:
         TrainerError: There is no checkpoint, it does not fit, or the player failed.
     """
-    with _evaluation_player(config, folder, port, timeout_wait) as (player, behavior):
+    with _evaluation_player(config, folder, port, timeout_wait, RestartLimits()) as (player, behavior):
         stages = build_stages(config, player)
         resume(folder, stages)
         evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
@@ -98,9 +98,12 @@ def evaluate_run(config: RunConfig, folder: RunFolder, *, port: int, timeout_wai
     _report(Console(), folder, evaluated, title, behavior)
 
 
-def _evaluation_player(config: RunConfig, folder: RunFolder, port: int, timeout_wait: int) -> Any:
+def _evaluation_player(
+    config: RunConfig, folder: RunFolder, port: int, timeout_wait: int, limits: RestartLimits
+) -> Any:
     seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
-    return open_player(config, folder.logs / "evaluation", seed=seed, port=port, timeout_wait=timeout_wait)
+    logs = folder.logs / "evaluation"
+    return open_player(config, logs, seed=seed, port=port, timeout_wait=timeout_wait, limits=limits)
 
 
 def _report(console: Console, folder: RunFolder, episodes: list[Episode], title: str, behavior: str) -> None:
