@@ -26,7 +26,7 @@ BATCH = 4096
 
 
 def corridor(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(BIN / "corridor"), *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    return subprocess.run([str(BIN / "corridor"), *map(str, arguments)], capture_output=True, text=True, timeout=300)
 
 
 def session(program: bytes | Path) -> onnxruntime.InferenceSession:

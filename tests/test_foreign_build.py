@@ -14,7 +14,7 @@ from conftest import BIN
 BUILD = Path(__file__).parent / "foreign" / "Corridor.x86_64"
 
 
-def corridor(*arguments: object, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}"}  # the build runs on the first python3 found
     command = [str(BIN / "corridor"), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=environment)

@@ -328,7 +328,7 @@ def test_dropped_episodes_are_not_evaluated():
 # the command
 
 
-def corridor(*arguments: object, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
     command = [str(BIN / "corridor"), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
 
@@ -370,7 +370,7 @@ def test_training_goes_on_when_a_player_is_killed(tmp_path, free_ports):
     wait_for_a_row(tmp_path / "r")
     found = subprocess.run(["pgrep", "-f", f"mlagents-port {free_ports + 1}"], capture_output=True, text=True).stdout
     os.kill(int(found), signal.SIGKILL)
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert "It is started again (restart 1)." in errors
     summary = json.loads((tmp_path / "r" / "summary.json").read_text())
@@ -398,7 +398,7 @@ def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_pat
     said = process.stderr.readline()
     assert "Waiting for it to dial in again (restart 1)." in said
     away.append(dial_in(free_ports + 1))
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["restarts"] == 1
     assert [each.wait(20) for each in away] == [0, -signal.SIGKILL, 0]
