@@ -215,5 +215,7 @@ def test_a_policy_of_another_form_says_why():
     behavior = spec([(3,)], ActionSpec.create_continuous(1))
     stages = stages_on(behavior)
     stages.model = SAC("MlpPolicy", _Nobody(1, behavior), buffer_size=10, learning_starts=1)
-    with pytest.raises(TrainerError, match=r"A policy of SAC \(SACPolicy\) can't be exported; train with PPO"):
+    with pytest.raises(
+        TrainerError, match=r"A policy of SAC \(SACPolicy\) can't be exported; train with ppo, a2c or trpo"
+    ):
         policy_as_onnx(stages, behavior)

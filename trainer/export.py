@@ -79,8 +79,8 @@ def policy_as_onnx(stages: Stages, spec: BehaviorSpec) -> bytes:
     policy, normaliser = stages.model.policy, stages.normaliser
     if type(policy) is not ActorCriticPolicy:
         raise TrainerError(
-            f"A policy of {type(stages.model).__name__} ({type(policy).__name__}) can't be exported; train with PPO, "
-            "whose actor is one network from observations to actions."
+            f"A policy of {type(stages.model).__name__} ({type(policy).__name__}) can't be exported; train with ppo, "
+            "a2c or trpo, whose actor is one network from observations to actions."
         )
     sizes = [int(each.shape[0]) for each in spec.observation_specs]
     discrete = spec.action_spec.is_discrete()
