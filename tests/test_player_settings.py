@@ -4,7 +4,7 @@ import pytest
 
 from corridor_server.parameters import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.side_channels import read_engine_setting, read_environment_parameter
-from trainer.config import EngineConfig
+from trainer.config import CORRIDOR, EngineConfig
 from trainer.errors import TrainerError
 from trainer.main import Train, main
 from trainer.player_settings import channels
@@ -47,7 +47,7 @@ def test_the_defaults_are_those_of_mlagents_learn():
         "target frame rate -1",
         "capture frame rate 60",
     ]
-    assert parameters == {"failure_penalty": 1.0}
+    assert parameters == {"failure_penalty": 1.0, **{name: pytest.approx(value) for name, value in CORRIDOR.items()}}
 
 
 def test_a_file_and_the_command_line_which_wins(tmp_path):
@@ -60,10 +60,12 @@ def test_a_file_and_the_command_line_which_wins(tmp_path):
 
 
 def test_samplers_reach_the_player_each_with_its_own_seed(tmp_path):
-    _, parameters = sent(config(tmp_path, FILE), seed=7)
-    assert parameters["goal_z"] == Uniform(9, 1.0, 3.0)
-    assert parameters["agent_speed"] == Gaussian(10, 2.0, pytest.approx(0.1))
-    assert parameters["switch_z"] == MultiRangeUniform(11, ((-3.0, -2.0), (2.0, 3.0)))
+    run = config(tmp_path, FILE)
+    _, parameters = sent(run, seed=7)
+    seeds = {name: 7 + index for index, name in enumerate(run.environment_parameters)}
+    assert parameters["goal_z"] == Uniform(seeds["goal_z"], 1.0, 3.0)
+    assert parameters["agent_speed"] == Gaussian(seeds["agent_speed"], 2.0, pytest.approx(0.1))
+    assert parameters["switch_z"] == MultiRangeUniform(seeds["switch_z"], ((-3.0, -2.0), (2.0, 3.0)))
 
 
 def test_our_player_takes_them(open_corridor, tmp_path):
@@ -120,7 +122,7 @@ def test_another_build_may_have_any_parameter(tmp_path):
 
 def test_everything_after_env_args_is_the_players(monkeypatch):
     seen = []
-    monkeypatch.setattr("trainer.main._run", lambda command: seen.append(command) or 0)
+    monkeypatch.setattr("trainer.main._run", lambda command, *_: seen.append(command) or 0)
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
     assert seen[0].seed == 3
     assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")

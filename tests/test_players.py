@@ -22,6 +22,7 @@ from trainer.config import RestartLimits
 from trainer.errors import TrainerError
 from trainer.evaluation import evaluate
 from trainer.main import Train
+from trainer.player_settings import channels
 from trainer.players import PLAYER_STRIDE, EpisodeMonitor, Player, Players, open_player
 from trainer.unity import open_environment
 from trainer.vec_env import Areas, UnityVecEnv, action_space, observation_space
@@ -64,9 +65,11 @@ def seed_of(log: Path) -> str:
 
 def test_three_players_are_three_runs_of_one_player_with_seeds_of_their_own(tmp_path, free_ports):
     def single(number):
+        seed = 5 + number * PLAYER_STRIDE
+        told = channels(Train("r").run_config(), seed)
         return UnityVecEnv(
             open_environment(
-                "builtin", seed=5 + number * PLAYER_STRIDE, num_areas=4, port=free_ports + 3, timeout_wait=30
+                "builtin", seed=seed, num_areas=4, port=free_ports + 3, timeout_wait=30, side_channels=told
             )
         )
 
