@@ -292,7 +292,9 @@ def preset_run(
     ``num_areas`` is the preset's if not given, environment parameters come on top of the preset's, and others are
     RunConfig's.
     """
-    chosen = PRESETS[preset]
+    chosen, given = PRESETS[preset], environment_parameters or {}
+    both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
+    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
     return RunConfig(
         run_id=run_id,
         env=env,
@@ -306,6 +308,6 @@ def preset_run(
         ppo=chosen.ppo,
         curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
         other=OTHERS[algo]() if algo in OTHERS else None,
-        environment_parameters={**CORRIDOR, **(environment_parameters or {})},
+        environment_parameters={**corridor, **given},
         **others,
     )

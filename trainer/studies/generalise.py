@@ -45,6 +45,7 @@ WIDTHS = (1.0, 0.8, 0.6)
 SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)
 SIDES = (1.0, 0.0, -1.0)
 OPPONENTS = (1, 2, 3)
+SPAWN = "agent_spawn_x"  # a range: its two ends are parameters, and its own name sets both
 MEASURES = ("success_rate", "opponent_contact_rate", "wall_contact_rate", "mean_return", "mean_episode_length")
 
 
@@ -121,12 +122,10 @@ def nearest(observations: NDArray[np.float32]) -> NDArray[np.float32]:
 def panels(config: RunConfig) -> list[Panel]:
     """What is tried with a run's policy; numbers relative to the corridor that it was trained on."""
     known = dataclasses.asdict(CorridorConfig())
-    for name in ("agent_spawn_x",):
-        known[f"{name}_min"], known[f"{name}_max"] = known.pop(name)
-    numbers = {name: value for name, value in config.environment_parameters.items() if isinstance(value, int | float)}
-    for end in ("min", "max"):
-        known[f"agent_spawn_x_{end}"] = numbers.get("agent_spawn_x", known[f"agent_spawn_x_{end}"])
-    known |= numbers
+    known[f"{SPAWN}_min"], known[f"{SPAWN}_max"] = known.pop(SPAWN)
+    for name, value in config.environment_parameters.items():
+        if isinstance(value, int | float):
+            known |= {f"{SPAWN}_{end}": value for end in ("min", "max")} if name == SPAWN else {name: value}
 
     def scaled(factor: float, *names: str) -> dict[str, float]:
         return {name: known[name] * factor for name in names}
@@ -135,7 +134,7 @@ def panels(config: RunConfig) -> list[Panel]:
         return {name: known[name] + metres for name in names}
 
     across = ("half_width", "spawn_z", "goal_z", "opponent_target_z", "switch_z")
-    start = ("agent_spawn_x_min", "agent_spawn_x_max")
+    start = (f"{SPAWN}_min", f"{SPAWN}_max")
     found = [
         Panel(
             "Opponent's speed, corridor's width",
