@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUN ?= corridor-$(shell date +%Y%m%d-%H%M%S)
 INSTALLED := $(VENV)/.installed
 
-.PHONY: install train test lint format proto docs clean
+.PHONY: install train test lint format proto docs page clean
 install: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml constraints.txt
@@ -31,6 +31,13 @@ format: $(INSTALLED)
 proto: $(INSTALLED)  ## compile proto/ into the player's descriptor set
 	cd proto && ../$(BIN)/python -m grpc_tools.protoc -I. --include_imports \
 		--descriptor_set_out=../corridor_server/messages.binpb $$(find mlagents_envs -name '*.proto' | sort)
+
+page: trainer/page/node_modules  ## bundle the page's sources (needs Node; only to change the page)
+	cd trainer/page && npm run --silent build
+
+trainer/page/node_modules: trainer/page/package-lock.json
+	cd trainer/page && npm ci
+	touch $@
 
 docs: $(INSTALLED)  ## write docs/parameters.md's table from the code
 	$(BIN)/python -c "from pathlib import Path; from corridor_server.config import parameter_table; \

@@ -16,7 +16,7 @@ WALL: Colour = (85, 85, 85)
 LEARNER: Colour = (232, 133, 12)
 OPPONENT: Colour = (123, 63, 160)
 SWITCH_OFF: Colour = (190, 205, 195)
-SWITCH_ON: Colour = (58, 143, 92)
+SWITCH_ON: Colour = (0, 158, 115)  # told from orange and purple by the colour-blind, too
 
 WALL_THICKNESS = 0.3  # m
 

@@ -148,6 +148,17 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         reward = float(np.float32(outcome.reward[0]))
         return world.observation(self._p, self._state)[0], reward, terminated, truncated, info
 
+    @property
+    def state(self) -> world.State:
+        """Where everything is, what the observation hides included.
+
+        Raises:
+            gymnasium.error.ResetNeeded: No episode ever began.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("No episode ever began; call reset() first.")
+        return self._state
+
     def render(self) -> NDArray[np.uint8] | None:
         """Draws the corridor from above, (264, 480, 3) uint8; None without a render mode."""
         if self.render_mode is None or self._state is None:

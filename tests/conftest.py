@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,21 @@ from corridor_server.config import CorridorConfig
 from corridor_server.parameters import EpisodeParameters
 
 BIN = Path(sys.executable).parent
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM_FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+DESKTOP = {"width": 1280, "height": 860}
+Open = Callable[..., Any]
 
 
 @pytest.fixture
@@ -41,6 +57,42 @@ def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., obje
     for environment in opened:
         if environment._loaded:
             environment.close()
+
+
+@pytest.fixture(scope="module")  # its event loop must not be there for other modules
+def browser() -> Iterator[Any]:
+    """Headless Chromium, with WebGL in software."""
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    """Opens an address; at the end, no page may have written an error to its console."""
+    errors: list[str] = []
+    contexts = []
+
+    def open_one(address: str, **options: Any) -> Any:
+        context = browser.new_context(**{"viewport": DESKTOP, **options})
+        context.set_default_timeout(120_000)  # milliseconds; a busy machine draws slowly
+        contexts.append(context)
+        opened = context.new_page()
+        opened.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        opened.on("pageerror", lambda error: errors.append(str(error)))
+        opened.goto(address)
+        return opened
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    # A server that is gone or another is what some tests are about; the browser reports it by itself.
+    assert [error for error in errors if "ERR_CONNECTION_REFUSED" not in error and "403" not in error] == []
 
 
 def interpreter(version: str) -> str | None:

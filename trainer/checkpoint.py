@@ -58,6 +58,22 @@ def latest_checkpoint(folder: Path) -> Path:
     return found[-1]
 
 
+def find_checkpoint(folder: Path, name: str | None = None) -> Path:
+    """A run's checkpoint by its file's name, with or without leading zeros and ending; the newest without a name.
+
+    Raises:
+        TrainerError: There is none of that name (those that there are, are named), or none at all.
+    """
+    if name is None:
+        return latest_checkpoint(folder)
+    found = {path.stem.removeprefix("step-").lstrip("0"): path for path in _checkpoints(folder)}
+    wanted = name.removesuffix(".pt").removeprefix("step-").lstrip("0")
+    if wanted not in found:
+        known = ", ".join(f"step-{steps}" for steps in found) or "none"
+        raise TrainerError(f"There is no checkpoint {name!r} in {folder}; there are: {known}.")
+    return found[wanted]
+
+
 def load_checkpoint(
     path: Path, model: BaseAlgorithm, normaliser: VecNormalize, curiosity: Curiosity | None
 ) -> dict[str, Any]:

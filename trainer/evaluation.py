@@ -18,12 +18,18 @@ class Episode:
 
     Attributes:
         observations: From the first to the last (the terminal one), not normalised, (length + 1, n).
+        actions: As sent to the player, (length, ...).
         rewards: Extrinsic, (length,).
+        truncated: It was cut by a step limit; every other end is terminated.
+        slot: The environment that it was played in; episodes of a slot are in the order in which they were played.
         statistics: What the player reported at its end, by name; empty if it reports none.
     """
 
     observations: NDArray[np.float32]
+    actions: NDArray[Any]
     rewards: NDArray[np.float32]
+    truncated: bool
+    slot: int
     statistics: dict[str, float]
 
     @property
@@ -53,6 +59,7 @@ def evaluate(
     played: list[list[Episode]] = [[] for _ in quotas]
     observations = np.asarray(player.reset())
     path: list[list[NDArray[np.float32]]] = [[observation] for observation in observations]
+    taken: list[list[NDArray[Any]]] = [[] for _ in quotas]
     rewards: list[list[float]] = [[] for _ in quotas]
     while any(len(done) < quota for done, quota in zip(played, quotas, strict=True)):
         actions, _ = model.predict(np.asarray(normaliser.normalize_obs(observations)), deterministic=deterministic)
@@ -61,18 +68,26 @@ def evaluate(
         for slot, quota in enumerate(quotas):
             if len(played[slot]) == quota:
                 continue
+            taken[slot].append(actions[slot])
             rewards[slot].append(float(step_rewards[slot]))
             if not dones[slot]:
                 path[slot].append(observations[slot])
                 continue
             if "dropped" in infos[slot]:  # the player died and was started again
-                path[slot], rewards[slot] = [observations[slot]], []
+                path[slot], taken[slot], rewards[slot] = [observations[slot]], [], []
                 continue
             path[slot].append(infos[slot]["terminal_observation"])
             played[slot].append(
-                Episode(np.array(path[slot]), np.array(rewards[slot], np.float32), infos[slot].get("statistics", {}))
+                Episode(
+                    observations=np.array(path[slot]),
+                    actions=np.array(taken[slot]),
+                    rewards=np.array(rewards[slot], np.float32),
+                    truncated=bool(infos[slot].get("TimeLimit.truncated", False)),
+                    slot=slot,
+                    statistics=infos[slot].get("statistics", {}),
+                )
             )
-            path[slot], rewards[slot] = [observations[slot]], []
+            path[slot], taken[slot], rewards[slot] = [observations[slot]], [], []
     return [episode for slot in played for episode in slot]
 
 

@@ -14,7 +14,7 @@ from corridor_server.config import CorridorConfig
 from trainer.evaluation import Episode
 
 # The paper's roles.
-LEARNER, OPPONENT, SWITCH = "#e8850c", "#7b3fa0", "#3a8f5c"
+LEARNER, OPPONENT, SWITCH = "#e8850c", "#7b3fa0", "#009e73"
 GREY = "#555555"
 
 

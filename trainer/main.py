@@ -207,6 +207,42 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Replay:
+    """Show a run's evaluation: a page that needs no network, a GIF and an MP4, in the run's folder.
+
+    Of a study: its report as a page, and a replay page of each of its runs.
+
+    Attributes:
+        run: The run's or study's id, or the path of its folder.
+        checkpoint: Play this checkpoint instead, such as step-500736.
+        episodes: How many episodes the page shows.
+        base_port: Port on which a launched player finds the trainer.
+        timeout_wait: Seconds to wait for the player.
+        results_dir: Where runs are kept.
+    """
+
+    run: tyro.conf.Positional[str]
+    checkpoint: str | None = None
+    episodes: int = 20
+    base_port: int = 5005
+    timeout_wait: int = 60
+    results_dir: Path = Path("results")
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Watch runs while they train, and drive the learner yourself, in a browser on this machine.
+
+    Attributes:
+        port: Port of the page, on loopback.
+        results_dir: Where runs are kept.
+    """
+
+    port: int = 8008
+    results_dir: Path = Path("results")
+
+
+@dataclass(frozen=True)
 class Check:
     """Hold a player against the ML-Agents protocol, and against the corridor's contract.
 
@@ -363,6 +399,8 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )
@@ -389,7 +427,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(command: Train | Evaluate | Export | Study | Check | Bench, typed: str) -> int:
+def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | Bench, typed: str) -> int:
     if isinstance(command, Study):
         if isinstance(command.what, Generalise):
             return _generalise(command.what, typed)
@@ -403,6 +441,11 @@ def _run(command: Train | Evaluate | Export | Study | Check | Bench, typed: str)
         from trainer.conformance.check import check_player
 
         return 0 if check_player(command.env, command.timeout_wait, Console()) else 1
+    if isinstance(command, Watch):
+        from trainer.watch import watch
+
+        watch(command.results_dir, command.port, Console())
+        return 0
     if isinstance(command, Train):
         config, limits = command.run_config(), command.restart_limits()
         folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)
@@ -418,6 +461,8 @@ def _run(command: Train | Evaluate | Export | Study | Check | Bench, typed: str)
             limits=limits,
         )
         return 0 if finished else INTERRUPTED
+    if isinstance(command, Replay):
+        return _replay(command)
     folder = RunFolder.find(command.run, command.results_dir)
     config = folder.read_config()
     if isinstance(command, Export):
@@ -482,6 +527,28 @@ def _generalise(options: Generalise, typed: str) -> int:
         timeout_wait=options.timeout_wait,
         command=typed,
         console=Console(),
+    )
+    return 0
+
+
+def _replay(command: Replay) -> int:
+    if command.episodes < 1:
+        raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
+    from trainer.replay import replay_run
+    from trainer.study_page import is_study, write_study_page
+
+    for study in (command.results_dir / command.run, Path(command.run)):
+        if is_study(study):
+            write_study_page(study, command.episodes, Console())
+            return 0
+    folder = RunFolder.find(command.run, command.results_dir)
+    replay_run(
+        folder.read_config(),
+        folder,
+        checkpoint=command.checkpoint,
+        episodes=command.episodes,
+        port=command.base_port,
+        timeout_wait=command.timeout_wait,
     )
     return 0
 

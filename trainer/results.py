@@ -68,6 +68,7 @@ class RunFolder:
         self.logs = path / "run_logs"
         self.learning_curve = path / "learning_curve.png"
         self.episode_paths = path / "episode_paths.png"
+        self.trajectories = path / "trajectories.npz"
 
     @classmethod
     def prepare(cls, config: RunConfig, results_dir: Path, *, resume: bool, force: bool) -> "RunFolder":

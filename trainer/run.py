@@ -7,12 +7,15 @@ from rich.console import Console
 from rich.table import Table
 
 from trainer.behavior import behavior_record
+from trainer.checkpoint import find_checkpoint
 from trainer.config import RestartLimits, RunConfig
 from trainer.evaluation import Episode, evaluate, summarise
 from trainer.figures import save_episode_paths, save_learning_curve
 from trainer.players import open_player
 from trainer.results import RunFolder
+from trainer.scene import corridor_of
 from trainer.training import Counters, build_stages, resume, train
+from trainer.trajectories import Trajectories, save_trajectories
 from trainer.unity import can_be_launched, is_corridor
 
 # Evaluation plays episodes that training has not seen.
@@ -39,6 +42,7 @@ def train_run(
     """
     console = Console()
     evaluated: list[Episode] | None = None
+    seed: int | None = None
     with open_player(config, folder.logs, seed=config.seed, port=port, timeout_wait=timeout_wait, limits=limits) as (
         player,
         behavior,
@@ -52,9 +56,12 @@ def train_run(
         if finished and not can_be_launched(config.env):
             evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
     if finished and evaluated is None:
+        seed = evaluation_seed(config)
         with _evaluation_player(config, folder, port, timeout_wait, limits) as (player, _):
             evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
 
+    if evaluated is not None:
+        save_trajectories(folder.trajectories, Trajectories(behavior, seed, counters.env_steps, evaluated))
     seconds = counters.wall_seconds - first_second
     folder.write_summary(
         {
@@ -80,7 +87,7 @@ def train_run(
     if evaluated is None:
         console.print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.", highlight=False)
     else:
-        _report(console, folder, evaluated, title, behavior)
+        _report(console, folder, config, evaluated, title, behavior)
     return finished
 
 
@@ -90,23 +97,49 @@ def evaluate_run(config: RunConfig, folder: RunFolder, *, port: int, timeout_wai
     Raises:
         TrainerError: There is no checkpoint, it does not fit, or the player failed.
     """
+    evaluated = play_episodes(config, folder, port=port, timeout_wait=timeout_wait, episodes=episodes)
+    save_trajectories(folder.trajectories, evaluated)
+    title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
+    _report(Console(), folder, config, evaluated.episodes, title, evaluated.behavior)
+
+
+def play_episodes(
+    config: RunConfig,
+    folder: RunFolder,
+    *,
+    port: int,
+    timeout_wait: int,
+    episodes: int,
+    checkpoint: str | None = None,
+) -> Trajectories:
+    """Plays a checkpoint, the newest if none is named, on the episodes that the run's own evaluation played.
+
+    Raises:
+        TrainerError: There is no such checkpoint, it does not fit, or the player failed.
+    """
+    find_checkpoint(folder.checkpoints, checkpoint)  # before a player is started, or waited for
     with _evaluation_player(config, folder, port, timeout_wait, RestartLimits()) as (player, behavior):
         stages = build_stages(config, player)
-        resume(folder, stages)
-        evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
-    title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
-    _report(Console(), folder, evaluated, title, behavior)
+        counters = resume(folder, stages, checkpoint)
+        played = evaluate(stages.model, stages.normaliser, player, episodes)
+    return Trajectories(behavior, evaluation_seed(config), counters.env_steps, played)
+
+
+def evaluation_seed(config: RunConfig) -> int:
+    """The seed of the player that a run is evaluated on."""
+    return (config.seed + EVALUATION_SEED_OFFSET) % 2**31
 
 
 def _evaluation_player(
     config: RunConfig, folder: RunFolder, port: int, timeout_wait: int, limits: RestartLimits
 ) -> Any:
-    seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
-    logs = folder.logs / "evaluation"
+    logs, seed = folder.logs / "evaluation", evaluation_seed(config)
     return open_player(config, logs, seed=seed, port=port, timeout_wait=timeout_wait, limits=limits)
 
 
-def _report(console: Console, folder: RunFolder, episodes: list[Episode], title: str, behavior: str) -> None:
+def _report(
+    console: Console, folder: RunFolder, config: RunConfig, episodes: list[Episode], title: str, behavior: str
+) -> None:
     console.print(f"Evaluation of {title}, deterministic policy:", highlight=False, soft_wrap=True)
     table = Table("measure", "value")
     for name, value in summarise(episodes).items():
@@ -114,7 +147,7 @@ def _report(console: Console, folder: RunFolder, episodes: list[Episode], title:
     console.print(table)
     if is_corridor(behavior):
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
-        save_episode_paths(shown, title, folder.episode_paths)
+        save_episode_paths(shown, title, folder.episode_paths, corridor_of(config))
     console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
 
 

@@ -19,7 +19,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from trainer.algorithms import WINDOW, build_algorithm, steps_per_update
-from trainer.checkpoint import latest_checkpoint, load_checkpoint, save_checkpoint
+from trainer.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
 from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
@@ -143,13 +143,13 @@ def train(config: RunConfig, folder: RunFolder, stages: Stages, counters: Counte
     return not signals.received
 
 
-def resume(folder: RunFolder, stages: Stages) -> Counters:
-    """Loads the newest checkpoint into freshly built stages.
+def resume(folder: RunFolder, stages: Stages, checkpoint: str | None = None) -> Counters:
+    """Loads a checkpoint, the newest if none is named, into freshly built stages.
 
     Raises:
         TrainerError: There is none, or it does not fit.
     """
-    path = latest_checkpoint(folder.checkpoints)
+    path = find_checkpoint(folder.checkpoints, checkpoint)
     return Counters(**load_checkpoint(path, stages.model, stages.normaliser, stages.curiosity))
 
 
