@@ -6,16 +6,17 @@ import json
 import zlib
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 from recorded_run import GOLDEN, recorded_run
 
 from corridor_server.config import CorridorConfig
+from corridor_server.gym_env import CorridorEnv
+from trainer.config import CORRIDOR
 from trainer.errors import TrainerError
 from trainer.evaluation import Episode
 from trainer.main import Train
-from trainer.scene import FOREIGN, choose, episode_record, run_scene
+from trainer.scene import FOREIGN, choose, corridor_of, episode_record, run_scene
 from trainer.trajectories import Trajectories, load_trajectories, save_trajectories
 
 CONFIG = Train(run_id="fast").run_config()
@@ -96,8 +97,9 @@ def test_a_file_with_code_in_it_is_refused(tmp_path):
 
 def test_an_evaluation_records_what_the_in_process_world_says(tmp_path):
     recorded = load_trajectories(GOLDEN / "trajectories.npz")
+    world = dataclasses.asdict(corridor_of(CONFIG))
     for episode in recorded.episodes:
-        env = gymnasium.make("corridor_server:Corridor-v0", area=episode.slot, disable_env_checker=True)
+        env = CorridorEnv(area=episode.slot, **world)
         observation, _ = env.reset(seed=recorded.seed)
         assert np.array_equal(observation, episode.observations[0])
         for t, action in enumerate(episode.actions):
@@ -133,7 +135,7 @@ def test_the_page_has_the_recorded_numbers_and_what_is_hidden():
         # The opponent goes straight to it: it lies ahead on the opponent's line, at the x that it always has.
         start = episode.observations[0, 8:10] * 10
         heading = episode.observations[0, 11:13]
-        assert target[0] == CorridorConfig().opponent_target_x
+        assert target[0] == corridor_of(CONFIG).opponent_target_x
         across = (target - start) / np.linalg.norm(target - start)
         assert np.allclose(across, heading / np.linalg.norm(heading), atol=1e-5)
 
@@ -187,3 +189,11 @@ def test_the_recorded_run_is_found_by_its_folder(tmp_path):
     assert len(load_trajectories(recorded_run(tmp_path).trajectories).episodes) == 12
     with pytest.raises(TrainerError, match="corridor evaluate"):
         load_trajectories(Path(tmp_path / "none.npz"))
+
+
+def test_a_runs_corridor_is_what_its_player_was_told():
+    """As float32, which the side channel carries; a range's own name sets both of its ends."""
+    told = corridor_of(Train("r", env_param=("switch_radius=0.1", "agent_spawn_x=-8"), penalty=0.5).run_config())
+    assert told.switch_radius == float(np.float32(0.1))
+    assert (told.agent_spawn_x, told.opponent_spawn_x) == ((-8.0, -8.0), CorridorConfig().opponent_spawn_x)
+    assert (told.agent_speed, told.failure_penalty) == (CORRIDOR["agent_speed"], 0.5)
