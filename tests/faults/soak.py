@@ -43,6 +43,8 @@ def slope(seconds: np.ndarray, values: np.ndarray) -> tuple[float, float]:
 
 def exchange(steps: int, port: int) -> Iterator[list[float | str]]:
     """World, codec and exchange: 4,096 areas through ``UnityVecEnv``."""
+    from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+
     import trainer  # noqa: F401 - makes mlagents_envs importable
     from trainer.unity import open_environment
     from trainer.vec_env import UnityVecEnv
@@ -50,9 +52,15 @@ def exchange(steps: int, port: int) -> Iterator[list[float | str]]:
     areas = 4096
     with tempfile.TemporaryDirectory() as folder:
         environment = open_environment(
-            "builtin", seed=0, num_areas=areas, port=port, timeout_wait=120, log_folder=Path(folder)
+            "builtin",
+            seed=0,
+            num_areas=areas,
+            port=port,
+            timeout_wait=120,
+            log_folder=Path(folder),
+            side_channels=[statistics := StatsSideChannel()],
         )
-        slots = UnityVecEnv(environment)
+        slots = UnityVecEnv(environment, statistics)
         slots.reset()
         generator, began, last = np.random.default_rng(0), time.monotonic(), 0.0
         actions = generator.uniform(-1, 1, (64, areas, 2)).astype(np.float32)
