@@ -240,7 +240,7 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
         if status != 200:
             break
         time.sleep(0.1)
-    assert "can't be read" in answer["error"]
+    assert "is damaged" in answer["error"]
 
 
 def test_a_port_in_use_and_a_clean_end(tmp_path):
