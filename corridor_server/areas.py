@@ -1,7 +1,7 @@
 """Training areas side by side: who asks for a decision, who ended, under which id, with which reward."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from corridor_server import world
 from corridor_server.config import CorridorConfig
 from corridor_server.drawing import top_view
-from corridor_server.parameters import EpisodeParameters, Value, area_generator
+from corridor_server.parameters import EpisodeParameters, Value
+from corridor_server.streams import Streams
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Areas:
         numbers = tuple(areas)
         self.config = config
         self.parameters = EpisodeParameters(config, numbers)
-        self._generators = [area_generator(seed, area) for area in numbers]
+        self._streams = Streams(seed, numbers)
         self._camera = camera
         self._next_id = 1
         count = len(numbers)
@@ -75,9 +76,36 @@ class Areas:
         self._ids = np.zeros(count, dtype=np.int32)
         # Areas whose running episode began by itself at the last one's end, and has not moved yet.
         self._begun_by_end = np.zeros(count, dtype=np.bool_)
+        self._restored = False
 
     def __len__(self) -> int:
-        return len(self._generators)
+        return len(self._ids)
+
+    def snapshot(self) -> NDArray[np.void]:
+        """All that decides what happens from here on: episodes, parameters and random streams, a row an area."""
+        columns: dict[str, NDArray[np.generic]] = {"id": self._ids, "stream": self._streams.words()}
+        columns |= {each.name: getattr(self.state, each.name) for each in fields(self.state)}
+        columns |= {f"parameter {name}": column for name, column in self.parameters.columns.items()}
+        columns |= {f"sampler {name}": stream.words() for name, stream in self.parameters.streams.items()}
+        rows = np.empty(len(self), [(name, column.dtype, column.shape[1:]) for name, column in columns.items()])
+        for name, column in columns.items():
+            rows[name] = column
+        return rows
+
+    def restore(self, rows: NDArray[np.void]) -> None:
+        """Takes up what ``snapshot`` gave, in areas with the same config and samplers.
+
+        Resets keep the restored episodes until they have moved.
+        """
+        self._ids = rows["id"].copy()
+        self._next_id = int(self._ids.max()) + 1  # the newest episode is always running
+        self._streams.restore(rows["stream"])
+        self.state = world.State(**{each.name: rows[each.name].copy() for each in fields(world.State)})
+        for name, column in self.parameters.columns.items():
+            column[:] = rows[f"parameter {name}"]
+        for name, stream in self.parameters.streams.items():
+            stream.restore(rows[f"sampler {name}"])
+        self._restored = True
 
     def set_parameter(self, name: str, value: Value) -> None:
         """Sets an environment parameter for every episode that begins from now on (see ``EpisodeParameters.set``)."""
@@ -90,7 +118,8 @@ class Areas:
         An episode that began by itself when the last one ended and has not moved yet is kept: resetting after an end,
         as Gymnasium's loop does, must not skip an episode.
         """
-        self._begin(np.flatnonzero(~self._begun_by_end))
+        if not self._restored:
+            self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
         nobody = np.zeros(0, dtype=np.intp)
         deciding = self._agents(np.zeros(len(self), dtype=np.float32))
@@ -98,6 +127,7 @@ class Areas:
 
     def step(self, actions: NDArray[np.float32]) -> Batch:
         """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends."""
+        self._restored = False
         p = self.parameters.columns
         self.state, outcome = world.step(p, self.state, actions.astype(np.float64))
         agents = self._agents(outcome.reward.astype(np.float32))
@@ -131,7 +161,7 @@ class Areas:
         for area in areas:
             self.parameters.draw(int(area))
         p = {name: column[areas] for name, column in self.parameters.columns.items()}
-        begun = world.initial(p, self.config.num_opponents, [self._generators[area] for area in areas])
+        begun = world.initial(p, self.config.num_opponents, [self._streams[area] for area in areas])
         self.state = self.state.merged(areas, begun)
         self._ids[areas] = np.arange(self._next_id, self._next_id + len(areas))
         self._next_id += len(areas)

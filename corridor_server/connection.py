@@ -1,10 +1,16 @@
 """The gRPC connection to a trainer. The trainer is the server; a player dials it."""
 
+import os
+import time
+
 import grpc
 
 from corridor_server.messages import API_VERSION, EXCHANGE
 
+MAX_MESSAGE_BYTES = 256 * 2**20
+PARENT_SECONDS = 0.5
 _OPTIONS = [
+    ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
     ("grpc.enable_http_proxy", 0),
     ("grpc.initial_reconnect_backoff_ms", 100),
     ("grpc.min_reconnect_backoff_ms", 100),
@@ -24,23 +30,34 @@ class Connection:
         port: The trainer's port.
         timeout_wait: Seconds to wait for it; it is tried again and again, at most a second apart.
         timeout_reply: Seconds to wait for each reply: a trainer may learn for long between two of them.
+        parent: The process that started this one and listens there; it is not waited for once it is gone.
 
     Raises:
-        ConnectionFailed: Nobody listens there within ``timeout_wait``.
+        ConnectionFailed: Nobody listens there within ``timeout_wait``, or the parent is gone.
     """
 
-    def __init__(self, host: str, port: int, timeout_wait: float, timeout_reply: float) -> None:
+    def __init__(
+        self, host: str, port: int, timeout_wait: float, timeout_reply: float, parent: int | None = None
+    ) -> None:
         self._timeout_reply = timeout_reply
         self._address = f"{host}:{port}"
         self._channel = grpc.insecure_channel(self._address, options=_OPTIONS)
-        try:
-            grpc.channel_ready_future(self._channel).result(timeout=timeout_wait)
-        except grpc.FutureTimeoutError as error:
-            self._channel.close()
-            raise ConnectionFailed(
-                f"No trainer listens on {self._address} (waited {timeout_wait:g} s, ML-Agents API {API_VERSION}); "
-                "start the trainer first, and give the player its port with --mlagents-port."
-            ) from error
+        ready = grpc.channel_ready_future(self._channel)
+        deadline = time.monotonic() + timeout_wait
+        while True:
+            try:
+                ready.result(timeout=min(PARENT_SECONDS, max(deadline - time.monotonic(), 0.0)))
+                break
+            except grpc.FutureTimeoutError as error:
+                if parent is not None and os.getppid() != parent:
+                    self._channel.close()
+                    raise ConnectionFailed(f"The process {parent}, which started this player, is gone.") from error
+                if time.monotonic() >= deadline:
+                    self._channel.close()
+                    raise ConnectionFailed(
+                        f"No trainer listens on {self._address} (waited {timeout_wait:g} s, ML-Agents API "
+                        f"{API_VERSION}); start the trainer first, and give the player its port with --mlagents-port."
+                    ) from error
         self._exchange = self._channel.unary_unary(EXCHANGE)
 
     def exchange(self, message: bytes, timeout: float | None = None) -> bytes:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from corridor_server import world
 from corridor_server.config import CorridorConfig
 from corridor_server.drawing import top_view
-from corridor_server.parameters import EpisodeParameters, area_generator
+from corridor_server.parameters import EpisodeParameters
+from corridor_server.streams import area_generator
 
 Observation = NDArray[np.float32]
 

@@ -40,7 +40,9 @@ def _play(options: argparse.Namespace, config: CorridorConfig) -> int:
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     try:
-        connection = Connection(options.host, options.mlagents_port, options.timeout_wait, options.timeout_reply)
+        connection = Connection(
+            options.host, options.mlagents_port, options.timeout_wait, options.timeout_reply, options.parent
+        )
     except Stopped as stopped:
         logger.info("%s before a trainer was found.", stopped)
         return 0
@@ -77,6 +79,7 @@ def _start_log(path: str | None) -> None:
     else:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+    logging.raiseExceptions = False  # a full disk costs the log, not the run
     logging.basicConfig(
         level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", handlers=[handler], force=True
     )
@@ -118,6 +121,9 @@ def _parser() -> argparse.ArgumentParser:
         default=3600.0,
         metavar="S",
         help="and for each reply (default: %(default)g)",
+    )
+    own.add_argument(
+        "--parent", type=int, metavar="PID", help="the trainer that starts this player: not waited for once it is gone"
     )
     own.add_argument("--camera", type=_size, metavar="WIDTHxHEIGHT", help="add a top view as a visual observation")
     own.add_argument("--camera-raw", action="store_true", help="send it as floats instead of PNG")

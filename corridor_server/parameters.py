@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from corridor_server.config import CorridorConfig, settable_parameters
+from corridor_server.streams import Streams
 from corridor_server.world import Floats
 
 SETTABLE = settable_parameters()
@@ -63,8 +64,8 @@ Value = float | Sampler
 class EpisodeParameters:
     """The corridor's parameters for A areas: the config's, changed by what a trainer sets.
 
-    ``columns`` maps each name to an (A,) float64 array, and is what ``world`` takes as its parameters. A change
-    reaches an area when its next episode begins.
+    ``columns`` maps each name to an (A,) float64 array, and is what ``world`` takes as its parameters; ``streams`` has
+    the samplers' random streams. A change reaches an area when its next episode begins.
     """
 
     def __init__(self, config: CorridorConfig, areas: tuple[int, ...]) -> None:
@@ -80,7 +81,7 @@ class EpisodeParameters:
         self.columns["velocity_decay"] = np.zeros(len(areas))
         self._areas = areas
         self._values: dict[str, Value] = {}
-        self._generators: dict[str, list[np.random.Generator]] = {}
+        self.streams: dict[str, Streams] = {}
         for row in range(len(areas)):
             self._derive(row)
 
@@ -108,7 +109,7 @@ class EpisodeParameters:
             return False
         self._values[name] = value
         if not isinstance(value, float):
-            self._generators[name] = [area_generator(value.seed, area) for area in self._areas]
+            self.streams[name] = Streams(value.seed, self._areas)
         return True
 
     def draw(self, row: int) -> None:
@@ -117,7 +118,7 @@ class EpisodeParameters:
             return
         for name, value in self._values.items():
             low, high = SETTABLE[name]
-            drawn = value if isinstance(value, float) else value.sample(self._generators[name][row])
+            drawn = value if isinstance(value, float) else value.sample(self.streams[name][row])
             drawn = min(max(drawn, low), high)  # only a Gaussian's tails leave the range
             for column in (name, f"{name}_min", f"{name}_max"):
                 if column in self.columns:
@@ -130,11 +131,6 @@ class EpisodeParameters:
         lag = column["agent_time_constant"][row]
         column["decision_seconds"][row] = seconds
         column["velocity_decay"][row] = math.exp(-seconds / lag) if lag > 0.0 else 0.0
-
-
-def area_generator(seed: int, area: int) -> np.random.Generator:
-    """The random stream of one area: depends on seed and area only, not on how many areas there are."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed % 2**32, spawn_key=(area,))))
 
 
 def _extremes(value: Value) -> list[float]:

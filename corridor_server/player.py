@@ -83,12 +83,14 @@ class Player:
         reply = self._connection.exchange(wire.acknowledgement())
         batch: Batch | None = None
         while (command := wire.command(reply, len(areas) if batch else None)).number != QUIT:
-            self._apply_side_channels(areas, command.side_channel)
+            state_wanted = self._apply_side_channels(areas, command.side_channel)
             introduce = batch is None
             # No actions: a RESET, or a STEP before the first one.
             batch = areas.reset() if command.actions is None else areas.step(command.actions)
-            message = wire.output(batch, side_channels.write_statistics(batch), introduce, camera)
-            reply = self._connection.exchange(message)
+            side_channel = side_channels.write_statistics(batch)
+            if state_wanted:
+                side_channel += side_channels.write_state(areas.snapshot())
+            reply = self._connection.exchange(wire.output(batch, side_channel, introduce, camera))
         logger.info("The trainer ended the session.")
 
     def _areas(self, parameters: Any) -> Areas:
@@ -107,7 +109,9 @@ class Player:
         logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
         return Areas(self._config, seed, range(count), self._camera)
 
-    def _apply_side_channels(self, areas: Areas, buffer: bytes) -> None:
+    def _apply_side_channels(self, areas: Areas, buffer: bytes) -> bool:
+        """Does what the messages say; returns whether one asks for the areas' state."""
+        state_wanted = False
         for channel, payload in side_channels.split(buffer):
             if channel == side_channels.ENVIRONMENT_PARAMETERS:
                 name, value = side_channels.read_environment_parameter(payload)
@@ -120,8 +124,14 @@ class Player:
             elif channel == side_channels.ENGINE_CONFIGURATION:
                 setting = side_channels.read_engine_setting(payload)
                 logger.info("Engine setting %s noted: the corridor has no engine to set.", setting)
+            elif channel == side_channels.AREA_STATE and payload:
+                areas.restore(side_channels.read_state(payload, areas.snapshot()))
+                logger.info("The areas go on where a saved run left them.")
+            elif channel == side_channels.AREA_STATE:
+                state_wanted = True
             elif channel != side_channels.TRAINING_ANALYTICS:
                 logger.warning("A message of %d bytes for unknown side channel %s was skipped.", len(payload), channel)
+        return state_wanted
 
 
 def _wants_channels_first(package_version: str) -> bool:

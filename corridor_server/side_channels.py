@@ -4,9 +4,14 @@ A buffer is a run of [16-byte GUID, little-endian][int32 length][payload]; a str
 list of floats is [int32 count][float32 each]; everything is little-endian.
 """
 
+import hashlib
 import struct
 import uuid
 from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from corridor_server.areas import Batch
 from corridor_server.parameters import Gaussian, MultiRangeUniform, Uniform, Value
@@ -15,6 +20,8 @@ ENGINE_CONFIGURATION = uuid.UUID("e951342c-4f7e-11ea-b238-784f4387d1f7")
 ENVIRONMENT_PARAMETERS = uuid.UUID("534c891e-810f-11ea-a9d0-822485860400")
 STATISTICS = uuid.UUID("a1d8f7b7-cec8-50f9-b78b-d3e165a78520")
 TRAINING_ANALYTICS = uuid.UUID("b664a4a9-d86f-5a5f-95cb-e8353a7e8356")
+# Our own: an empty message asks for the areas' state, which comes with the answer; one with a state puts it back.
+AREA_STATE = uuid.UUID("5c0d1a3e-9b1f-4f7e-8a86-6f2f3c7d2b10")
 
 # Setting -> its values' formats. A player without graphics or a clock has nothing to configure.
 ENGINE_SETTINGS = {
@@ -112,6 +119,35 @@ def write_statistics(batch: Batch) -> bytes:
             payload = struct.pack("<i", len(key)) + key + struct.pack("<fi", values[row], AVERAGE)
             messages.append(message(STATISTICS, payload))
     return b"".join(messages)
+
+
+def write_state(rows: NDArray[np.void]) -> bytes:
+    """The message with ``Areas.snapshot``: a digest of the names and types of its columns, then its rows."""
+    return message(AREA_STATE, _layout(rows.dtype) + rows.tobytes())
+
+
+def read_state(payload: bytes, now: NDArray[np.void]) -> NDArray[np.void]:
+    """A state to put back, in the layout of ``now``, the areas' present one.
+
+    Raises:
+        SideChannelError: It is another corridor's, or has numbers that are not finite.
+    """
+    layout = _layout(now.dtype)
+    if payload[: len(layout)] != layout or len(payload) != len(layout) + now.nbytes:
+        raise SideChannelError(
+            f"The saved state of the areas has {len(payload)} bytes, but {len(layout) + now.nbytes} of a certain form "
+            f"were expected for {len(now)} areas; it was saved with other settings or by another version."
+        )
+    rows = np.frombuffer(payload, now.dtype, offset=len(layout))
+    for name in now.dtype.names or ():
+        if rows[name].dtype.kind == "f" and not np.isfinite(rows[name]).all():
+            raise SideChannelError(f"The saved state of the areas has a {name!r} that is NaN or infinite.")
+    return rows
+
+
+@lru_cache(maxsize=4)
+def _layout(columns: np.dtype[np.void]) -> bytes:
+    return hashlib.sha256(repr(columns.descr).encode()).digest()
 
 
 class _Reader:

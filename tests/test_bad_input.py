@@ -153,8 +153,10 @@ def test_evaluating_a_run_without_a_checkpoint(tmp_path, free_port):
     (folder / "configuration.yaml").write_text(yaml.safe_dump({"run": Train("empty").run_config().as_dict()}))
     fails("evaluate", "empty", "--results-dir", tmp_path, "--base-port", free_port, says="holds no checkpoint")
     (folder / "checkpoints").mkdir()
-    (folder / "checkpoints" / "step-0000000001.pt").write_bytes(os.urandom(100))
-    fails("evaluate", "empty", "--results-dir", tmp_path, "--base-port", free_port, says="pt can't be read")
+    (folder / "checkpoints" / "step-0000000001.safetensors").write_bytes(os.urandom(100))
+    fails(
+        "evaluate", "empty", "--results-dir", tmp_path, "--base-port", free_port, says="is damaged: it has no checksum"
+    )
 
 
 def test_evaluating_a_broken_configuration(tmp_path):
@@ -198,8 +200,14 @@ sys.exit(main())
             "return b'\\x0a\\x03\\x08\\xc8\\x01\\xff'",
             "The player sent 6 bytes that are not a message",
         ),
-        ("batch.deciding.observations[3, 2] = np.nan", "The observations provided had NaN or infinite values."),
-        ("batch.deciding.rewards[0] = np.inf", "The rewards provided had NaN or infinite values."),
+        (
+            "batch.deciding.observations[3, 2] = np.nan",
+            "After step [0-9,]+: The player sent observation\\[2\\] = nan of agent [0-9]+ in area 3, but",
+        ),
+        (
+            "batch.deciding.rewards[0] = np.inf",
+            "After step [0-9,]+: The player sent reward = inf of agent [0-9]+ in area 0, but",
+        ),
         ("batch.deciding.ids[:] = 7", "1 of 8 agents asked for a decision, 0 of them new while 0 ended"),
     ],
 )
@@ -208,4 +216,4 @@ def test_a_player_that_goes_bad_in_mid_run_is_named_and_the_runs_data_kept(tmp_p
         "train", "--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port, "--num-areas", 8,
         "--env", player(tmp_path, MID_RUN.format(fault=fault)), says=says,
     )  # fmt: skip
-    assert list((tmp_path / "r" / "checkpoints").glob("step-*.pt"))
+    assert list((tmp_path / "r" / "checkpoints").glob("step-*.safetensors"))

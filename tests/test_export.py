@@ -15,12 +15,13 @@ from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
 
-from trainer.checkpoint import latest_checkpoint
+from trainer.checkpoint import find_checkpoint
 from trainer.errors import TrainerError
 from trainer.export import _Nobody, policy_as_onnx
 from trainer.main import Train
 from trainer.results import RunFolder
-from trainer.training import Stages, build_stages, resume
+from trainer.run_state import Stages
+from trainer.training import build_stages, load_trained
 
 BATCH = 4096
 
@@ -93,7 +94,7 @@ def test_the_constants(exported):
 def test_a_batch_of_4096_gives_the_actions_of_stable_baselines3(run, exported):
     folder = RunFolder(run)
     stages = build_stages(folder.read_config(), _Nobody(16, spec([(13,)], ActionSpec.create_continuous(2))))
-    resume(folder, stages)
+    load_trained(folder.read_config(), folder, stages)
     drawn = np.random.default_rng(0).standard_normal((BATCH, 13))
     observations = (3.0 * drawn).astype(np.float32)
     expected, _ = stages.model.predict(stages.normaliser.normalize_obs(observations), deterministic=True)
@@ -165,7 +166,7 @@ def copied(run: Path, to: Path) -> tuple[Path, Path]:
     """A run's folder with its own copy of the newest checkpoint."""
     (to / "checkpoints").mkdir(parents=True)
     (to / "configuration.yaml").write_bytes((run / "configuration.yaml").read_bytes())
-    source = latest_checkpoint(run / "checkpoints")
+    source = find_checkpoint(run / "checkpoints")
     target = to / "checkpoints" / source.name
     target.write_bytes(source.read_bytes())
     return to, target
@@ -174,13 +175,13 @@ def copied(run: Path, to: Path) -> tuple[Path, Path]:
 def test_a_broken_checkpoint_is_named(run, tmp_path):
     broken, checkpoint = copied(run, tmp_path / "broken")
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
-    fails(broken, tmp_path / "a.onnx", "can't be read; use an older one or train again")
+    fails(broken, tmp_path / "a.onnx", "is damaged: it")
 
 
 def test_a_file_of_somebody_else_in_the_place_of_a_checkpoint(run, tmp_path):
     foreign, checkpoint = copied(run, tmp_path / "foreign")
     torch.save({"model": torch.zeros(3)}, checkpoint)
-    fails(foreign, tmp_path / "a.onnx", "is no checkpoint of a run")
+    fails(foreign, tmp_path / "a.onnx", "is damaged: it has no checksum")
 
 
 def test_a_checkpoint_of_another_player_names_both_sizes(run, tmp_path):

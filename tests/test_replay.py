@@ -137,9 +137,9 @@ def test_a_checkpoints_name_may_be_short(tmp_path):
     from trainer.checkpoint import find_checkpoint
 
     for steps in (500, 1000):
-        (tmp_path / f"step-{steps:010d}.pt").touch()
-    for name in ("step-500", "500", "step-0000000500", "step-0000000500.pt"):
-        assert find_checkpoint(tmp_path, name).name == "step-0000000500.pt"
-    assert find_checkpoint(tmp_path).name == "step-0000001000.pt"
+        (tmp_path / f"step-{steps:010d}.safetensors").touch()
+    for name in ("step-500", "500", "step-0000000500", "step-0000000500.safetensors"):
+        assert find_checkpoint(tmp_path, name).name == "step-0000000500.safetensors"
+    assert find_checkpoint(tmp_path).name == "step-0000001000.safetensors"
     with pytest.raises(TrainerError, match="there are: step-500, step-1000"):
         find_checkpoint(tmp_path, "step-750")

@@ -57,7 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_leaves_its_files(run):
     for name in ("configuration.yaml", "summary.json", "progress.csv", "learning_curve.png", "episode_paths.png"):
         assert (run / name).stat().st_size > 100, name
-    assert list((run / "checkpoints").glob("step-*.pt"))
+    assert list((run / "checkpoints").glob("step-*.safetensors"))
     assert (run / "run_logs" / "Player-0.log").exists()
 
 
@@ -196,7 +196,7 @@ def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, 
     assert "Environment shut down with return code -9 (SIGKILL)." in errors
     assert "is not started again: --max-lifetime-restarts allows 0." in errors
     assert "Traceback" not in errors
-    assert list((tmp_path / "dies" / "checkpoints").glob("step-*.pt"))
+    assert list((tmp_path / "dies" / "checkpoints").glob("step-*.safetensors"))
     assert rows(progress)
 
 

@@ -220,7 +220,7 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
     assert done.returncode == 0
     before = {path: path.stat().st_mtime_ns for path in results.rglob("*") if path.is_file()}
     recorded = load_trajectories(results / "r" / "trajectories.npz")
-    [checkpoint] = (results / "r" / "checkpoints").glob("step-*.pt")
+    [checkpoint] = (results / "r" / "checkpoints").glob("step-*.safetensors")
     os.utime(checkpoint)  # newer than the evaluation, as while the run goes on
     assert runs(server)["r"]["scene"] == checkpoint.stem
     scene = wait_for_scene(server, "r")
@@ -234,13 +234,13 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
     assert {path for path in after if after[path] != before.get(path)} == {checkpoint}
 
     checkpoint.write_bytes(b"torn")
-    checkpoint.rename(checkpoint.with_name("step-0000009999.pt"))
+    checkpoint.rename(checkpoint.with_name("step-0000009999.safetensors"))
     for _ in range(100):
         status, answer = ask(server, "/api/scene?run=r")
         if status != 200:
             break
         time.sleep(0.1)
-    assert "can't be read" in answer["error"]
+    assert "is damaged" in answer["error"]
 
 
 def test_a_port_in_use_and_a_clean_end(tmp_path):

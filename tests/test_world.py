@@ -8,7 +8,8 @@ import pytest
 from corridor_server import world
 from corridor_server.areas import Areas
 from corridor_server.config import CorridorConfig
-from corridor_server.parameters import EpisodeParameters, area_generator
+from corridor_server.parameters import EpisodeParameters
+from corridor_server.streams import area_generator
 
 
 def test_velocity_lags_behind_the_action_as_the_exact_solution_says(one_area):

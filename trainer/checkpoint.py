@@ -1,61 +1,165 @@
-"""A run's learned state in one file: weights, optimisers, normaliser statistics and the step count."""
+"""Checkpoint files: what one is, when a run writes them, and which is the newest good one.
 
+A checkpoint is a safetensors file: named arrays, and under ``__metadata__`` the JSON text ``facts`` (everything that is
+no array) and ``sha256``, the digest of the whole file with this digest's own 64 characters as zeros. Nothing in it is
+code, and nothing is believed before the digest was compared.
+
+``rollout-<steps>`` is written after every update, and there is one; ``step-<steps>`` are kept. Each gets its name once
+it is whole, so that a process killed at any moment leaves only whole ones. Those that are kept have also been handed to
+the disk, and survive a power failure.
+"""
+
+import hashlib
+import json
+import math
 import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecNormalize
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load, save
 
-from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
 
+FORMAT = 1
 KEPT = 5
+SUFFIX = ".safetensors"
+NO_DIGEST = "0" * 64
+# Tensor sizes stand before the numbers, in a header of a few kB.
+HEADER_LIMIT = 2**20
 
 
-def save_checkpoint(
-    folder: Path, counters: dict[str, Any], model: BaseAlgorithm, normaliser: VecNormalize, curiosity: Curiosity | None
-) -> Path:
-    """Writes ``step-N.pt`` whole or not at all, and removes all but the newest ``KEPT``."""
-    state: dict[str, Any] = {
-        "counters": counters,
-        "policy": model.policy.state_dict(),
-        "optimizer": _optimizer_state(model),
-        "normaliser": {
-            "mean": torch.from_numpy(_statistics(normaliser).mean),
-            "var": torch.from_numpy(_statistics(normaliser).var),
-            "count": float(_statistics(normaliser).count),
-        },
-    }
-    if curiosity is not None:
-        state["curiosity"] = {
-            name: torch.from_numpy(array) for name, array in curiosity.module.adam.state_dict().items()
-        }
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"step-{model.num_timesteps:010d}.pt"
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("wb") as file:
-        torch.save(state, file)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    for old in _checkpoints(folder)[:-KEPT]:
-        old.unlink()
-    return path
+class DamagedCheckpoint(Exception):
+    """A file that is not what was written; the message says in which way."""
 
 
-def latest_checkpoint(folder: Path) -> Path:
-    """The newest checkpoint of a run.
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run at the end of one of its updates.
+
+    Attributes:
+        arrays: Tensors by name.
+        facts: Plain values, as JSON has them.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    facts: Mapping[str, Any]
+
+    def part(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """The arrays whose names begin with ``prefix/``, without it."""
+        start = f"{prefix}/"
+        return {name.removeprefix(start): each for name, each in self.arrays.items() if name.startswith(start)}
+
+
+def to_bytes(checkpoint: Checkpoint) -> bytearray:
+    """A checkpoint's file.
 
     Raises:
-        TrainerError: There is none.
+        TrainerError: One of its numbers is NaN or infinite.
     """
-    found = _checkpoints(folder)
-    if not found:
-        raise TrainerError(f"{folder} holds no checkpoint (step-*.pt); train the run first.")
-    return found[-1]
+    for name, array in checkpoint.arrays.items():
+        # A sum is the quicker test; one that is not finite may also have overflowed.
+        if array.dtype.kind == "f" and not math.isfinite(array.sum()) and not np.isfinite(array).all():
+            at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise TrainerError(
+                f"{name}{list(at)} became {array[at]}; the run has diverged: try a smaller learning rate."
+            )
+    facts = json.dumps({"format": FORMAT, **checkpoint.facts}, allow_nan=False)
+    data = bytearray(save(dict(checkpoint.arrays), {"facts": facts, "sha256": NO_DIGEST}))
+    start = _digest_place(data)
+    data[start : start + 64] = hashlib.sha256(data).hexdigest().encode()
+    return data
+
+
+def from_bytes(data: bytes | bytearray) -> Checkpoint:
+    """The inverse of ``to_bytes``.
+
+    Raises:
+        DamagedCheckpoint: A byte is not what it was, or one is missing.
+        TrainerError: It is whole, but of a later version.
+    """
+    at = _digest_place(data)
+    blank = data[:at] + NO_DIGEST.encode() + data[at + 64 :]
+    if hashlib.sha256(blank).hexdigest().encode() != data[at : at + 64]:
+        raise DamagedCheckpoint("its checksum is not that of its content")
+    length = int.from_bytes(data[:8], "little")
+    facts = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["facts"])
+    if facts["format"] > FORMAT:
+        raise TrainerError(
+            f"A checkpoint of format {facts['format']} was made by a later version of curious-corridor; this one reads "
+            f"format {FORMAT}: update it."
+        )
+    return Checkpoint(load(bytes(data)), facts)
+
+
+def _digest_place(data: bytes | bytearray) -> int:
+    """Where the digest's characters are; the facts can't hold this text, since quotes in them are escaped."""
+    found = re.search(rb'"sha256":"[0-9a-f]{64}"', data[:HEADER_LIMIT])
+    if found is None:
+        raise DamagedCheckpoint("it has no checksum")
+    return found.start() + len(b'"sha256":"')
+
+
+class CheckpointWriter:
+    """Writes a run's checkpoints.
+
+    Args:
+        folder: Where they go.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._rolling: Path | None = None
+
+    def write(self, steps: int, data: bytes | bytearray) -> None:
+        """Replaces the run's newest checkpoint, whole or not at all."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / f"rollout-{steps:010d}{SUFFIX}"
+        temporary = self._folder / "unfinished.tmp"
+        try:
+            temporary.write_bytes(data)
+        except OSError:
+            temporary.unlink(missing_ok=True)  # on a full disk, its room is needed
+            raise
+        # A new name, not the old one again: ext4 would wait for the disk when a file takes another's place.
+        temporary.replace(path)
+        former = self._folder.glob(f"rollout-*{SUFFIX}") if self._rolling is None else [self._rolling]
+        for each in former:
+            if each != path:
+                each.unlink(missing_ok=True)
+        self._rolling = path
+
+    def keep(self) -> None:
+        """Makes the newest checkpoint one of those that are kept, and waits until the disk has it."""
+        if self._rolling is None:
+            return
+        with self._rolling.open("rb") as file:
+            os.fsync(file.fileno())
+        self._rolling.replace(self._folder / self._rolling.name.replace("rollout", "step"))
+        self._rolling = None
+        folder = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+        for old in sorted(self._folder.glob(f"step-*{SUFFIX}"))[:-KEPT]:
+            old.unlink()
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """A run's checkpoints, oldest first."""
+    return sorted(
+        [*folder.glob(f"step-*{SUFFIX}"), *folder.glob(f"rollout-*{SUFFIX}")], key=lambda path: path.stem[-10:]
+    )
+
+
+def kept_checkpoints(folder: Path) -> list[Path]:
+    """Those of a run's checkpoints that stay when the next update is saved, oldest first."""
+    return [path for path in checkpoints(folder) if path.stem.startswith("step-")]
 
 
 def find_checkpoint(folder: Path, name: str | None = None) -> Path:
@@ -64,68 +168,56 @@ def find_checkpoint(folder: Path, name: str | None = None) -> Path:
     Raises:
         TrainerError: There is none of that name (those that there are, are named), or none at all.
     """
+    found = checkpoints(folder)
+    if not found:
+        raise TrainerError(f"{folder} holds no checkpoint (*{SUFFIX}); train the run first.")
     if name is None:
-        return latest_checkpoint(folder)
-    found = {path.stem.removeprefix("step-").lstrip("0"): path for path in _checkpoints(folder)}
-    wanted = name.removesuffix(".pt").removeprefix("step-").lstrip("0")
-    if wanted not in found:
-        known = ", ".join(f"step-{steps}" for steps in found) or "none"
-        raise TrainerError(f"There is no checkpoint {name!r} in {folder}; there are: {known}.")
-    return found[wanted]
+        return found[-1]
+    for path in found:
+        if _short(path.stem) == _short(name.removesuffix(SUFFIX)):
+            return path
+    raise TrainerError(
+        f"There is no checkpoint {name!r} in {folder}; there are: {', '.join(_short(path.stem) for path in found)}."
+    )
 
 
-def load_checkpoint(
-    path: Path, model: BaseAlgorithm, normaliser: VecNormalize, curiosity: Curiosity | None
-) -> dict[str, Any]:
-    """Puts a checkpoint's state into a run built with the same settings. Reads tensors only, never code.
-
-    Returns:
-        The counters that were saved with it.
+def read_checkpoint(folder: Path, name: str | None = None) -> Checkpoint:
+    """Reads a run's checkpoint; the newest without a name.
 
     Raises:
-        TrainerError: The file is unreadable, or belongs to other settings or another observation or action size.
+        TrainerError: There is none, or it is damaged (the newest good one is named), or of a later version.
     """
+    for _ in range(20):  # a run that is being trained replaces its newest one while we look
+        path = find_checkpoint(folder, name)
+        try:
+            return _read(path)
+        except FileNotFoundError:
+            continue
+        except DamagedCheckpoint as damage:
+            raise TrainerError(f"The checkpoint {path} is damaged: {damage}. {_offer(folder, path)}") from damage
+    raise TrainerError(f"The checkpoints in {folder} change too fast to be read; stop the run first.")
+
+
+def _read(path: Path) -> Checkpoint:
     try:
-        state = torch.load(path, weights_only=True)
-    except Exception as error:  # torch raises many kinds for a broken file
-        raise TrainerError(f"The checkpoint {path} can't be read; use an older one or train again.") from error
-    try:
-        size, expected = len(state["normaliser"]["mean"]), len(_statistics(normaliser).mean)
-    except (KeyError, TypeError, IndexError) as error:
-        raise TrainerError(f"{path} is no checkpoint of a run; take it out of the folder.") from error
-    if size != expected:
-        raise TrainerError(
-            f"The checkpoint {path} is for observations of {size} floats, but the player's have {expected}."
-        )
-    try:
-        model.policy.load_state_dict(state["policy"])
-        if state["optimizer"] is not None:
-            model.policy.optimizer.load_state_dict(state["optimizer"])
-        if curiosity is not None:
-            curiosity.module.adam.load_state_dict({name: tensor.numpy() for name, tensor in state["curiosity"].items()})
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise TrainerError(
-            f"The checkpoint {path} is for other settings: {' '.join(str(error).split())[:300]}"
-        ) from error
-    counters: dict[str, Any] = state["counters"]
-    model.num_timesteps = counters["env_steps"]
-    statistics = _statistics(normaliser)
-    statistics.mean = state["normaliser"]["mean"].numpy()
-    statistics.var = state["normaliser"]["var"].numpy()
-    statistics.count = state["normaliser"]["count"]
-    return counters
+        return from_bytes(path.read_bytes())
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise TrainerError(f"The checkpoint {path} can't be read ({error}).") from error
 
 
-def _optimizer_state(model: BaseAlgorithm) -> dict[str, Any] | None:
-    """Of a policy that has one optimiser; DDPG's has two, and is saved to be evaluated but not to be continued."""
-    optimizer = getattr(model.policy, "optimizer", None)
-    return None if optimizer is None else optimizer.state_dict()
+def _offer(folder: Path, damaged: Path) -> str:
+    for path in reversed(checkpoints(folder)):
+        try:
+            if path != damaged:
+                _read(path)
+                return f"The last good one is {path.name}: delete {damaged.name} to go on from there."
+        except (DamagedCheckpoint, TrainerError, FileNotFoundError):
+            continue
+    return "There is no good one; train the run again with --force."
 
 
-def _statistics(normaliser: VecNormalize) -> RunningMeanStd:
-    assert isinstance(normaliser.obs_rms, RunningMeanStd)  # one vector observation
-    return normaliser.obs_rms
-
-
-def _checkpoints(folder: Path) -> list[Path]:
-    return sorted(folder.glob("step-*.pt"))
+def _short(stem: str) -> str:
+    kind, _, steps = stem.rpartition("-")
+    return f"{kind or 'step'}-{steps.lstrip('0') or '0'}"

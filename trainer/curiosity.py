@@ -87,6 +87,30 @@ class Curiosity(VecEnvWrapper):
             self._filled = 0
         return observations, rewards + intrinsic, dones, infos
 
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """All that it has learned and remembers between two updates; the arrays are views where they can be."""
+        return {**self.module.adam.state_dict(), "episode_sums": self._episode_sums}
+
+    def facts(self) -> dict[str, Any]:
+        """What else there is to remember: the state of its random stream, and the last update's metrics."""
+        return {"random": self.generator.bit_generator.state, "metrics": self.metrics}
+
+    def load_state_dict(self, state: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
+        """Takes over what ``state_dict`` and ``facts`` gave.
+
+        Raises:
+            KeyError: Something is missing.
+            ValueError: An array is of another size.
+        """
+        self.module.adam.load_state_dict(state)
+        self.generator.bit_generator.state = facts["random"]
+        self.metrics = dict(facts["metrics"])
+
+    def continue_from(self, observations: NDArray[np.float32], episode_sums: NDArray[np.float64]) -> None:
+        """Goes on in the middle of episodes, (n, observation size) and (n,), instead of after a reset."""
+        self._last_observation = observations
+        self._episode_sums[:] = episode_sums
+
     def _update(self) -> None:
         columns = [
             column.reshape(-1, column.shape[-1])

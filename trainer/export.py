@@ -30,7 +30,8 @@ from trainer.behavior import recorded_spec
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.results import RunFolder
-from trainer.training import Stages, build_stages, resume
+from trainer.run_state import Stages
+from trainer.training import build_stages, load_trained
 from trainer.vec_env import Areas, action_space, observation_space
 
 OPSET = 9  # ML-Agents' own, which every version of Unity's inference reads
@@ -54,7 +55,7 @@ def export_run(config: RunConfig, folder: RunFolder, path: Path) -> None:
     """
     spec = _spec(folder)
     stages = build_stages(config, _Nobody(config.num_envs * config.num_areas, spec))
-    resume(folder, stages)
+    load_trained(config, folder, stages)
     temporary = path.with_name(path.name + ".tmp")
     try:
         with temporary.open("wb") as file:

@@ -77,7 +77,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     from trainer.results import RunFolder
     from trainer.run import evaluation_seed
     from trainer.scene import corridor_of, run_scene
-    from trainer.training import build_stages, resume
+    from trainer.training import build_stages, load_trained
     from trainer.trajectories import Trajectories
 
     folder = RunFolder(run)
@@ -85,7 +85,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     seed = evaluation_seed(config)
     player = DummyVecEnv([partial(_Reporting, area, seed, corridor_of(config)) for area in range(EPISODES)])
     stages = build_stages(config, player)
-    counters = resume(folder, stages, checkpoint)
+    counters = load_trained(config, folder, stages, checkpoint)
     episodes = evaluate(stages.model, stages.normaliser, player, EPISODES)
     return run_scene(config, Trajectories("Corridor", seed, counters.env_steps, episodes), EPISODES)
 

@@ -29,6 +29,7 @@ from trainer.config import (
 from trainer.errors import TrainerError
 from trainer.player_settings import engine_config, environment_parameters, read_settings
 from trainer.results import RunFolder
+from trainer.signals import interrupt_on_every_signal
 
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
 ENV_ARGS = "--env-args"
@@ -48,6 +49,7 @@ class Train:
         num_envs: Players, stepped concurrently, on consecutive ports.
         num_areas: Training areas in each player; the preset's if not given.
         base_port: Port on which the first launched player finds the trainer.
+        listen: Host to listen on for players; anything but loopback trusts the network.
         timeout_wait: Seconds to wait for a player.
         results_dir: Where runs are kept.
         resume: Continue an existing run.
@@ -79,6 +81,7 @@ class Train:
     num_envs: int = 1
     num_areas: int | None = None
     base_port: int = 5005
+    listen: str = "localhost"
     timeout_wait: int = 60
     results_dir: Path = Path("results")
     resume: bool = False
@@ -179,6 +182,7 @@ class Evaluate:
         episodes: How many episodes to play.
         env: Another environment than the run's, as in corridor train.
         base_port: Port on which a launched player finds the trainer.
+        listen: Host to listen on for players; anything but loopback trusts the network.
         timeout_wait: Seconds to wait for the player.
         results_dir: Where runs are kept.
     """
@@ -187,6 +191,7 @@ class Evaluate:
     episodes: int = 200
     env: str | None = None
     base_port: int = 5005
+    listen: str = "localhost"
     timeout_wait: int = 60
     results_dir: Path = Path("results")
 
@@ -417,6 +422,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if env_args and isinstance(command, Train):
         command = dataclasses.replace(command, env_args=tuple(env_args))
     console = Console(stderr=True)
+    interrupt_on_every_signal()
     try:
         return _run(command, shlex.join(["corridor", *arguments]))
     except TrainerError as error:
@@ -459,6 +465,7 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
             episodes=command.eval_episodes,
             resumed=command.resume,
             limits=limits,
+            listen=command.listen,
         )
         return 0 if finished else INTERRUPTED
     if isinstance(command, Replay):
@@ -478,7 +485,12 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
     from trainer import run
 
     run.evaluate_run(
-        config, folder, port=command.base_port, timeout_wait=command.timeout_wait, episodes=command.episodes
+        config,
+        folder,
+        port=command.base_port,
+        timeout_wait=command.timeout_wait,
+        episodes=command.episodes,
+        listen=command.listen,
     )
     return 0
 

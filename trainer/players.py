@@ -6,7 +6,7 @@ episodes of its first life once more.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,8 +32,10 @@ from trainer.config import RestartLimits, RunConfig
 from trainer.errors import TrainerError
 from trainer.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
 from trainer.player_settings import channels
+from trainer.player_state import PlayerState
 from trainer.signals import uninterrupted
 from trainer.unity import (
+    LOOPBACK,
     BadNumbers,
     Environment,
     can_be_launched,
@@ -62,10 +64,11 @@ FAILURES = (
 
 @dataclass(frozen=True)
 class Player:
-    """One player, open: its environment, its areas as slots, and its one behavior."""
+    """One player, open: its environment, its areas as slots, what they are doing, and its one behavior."""
 
     environment: Environment
     slots: VecEnv
+    state: PlayerState
     behavior: str
     spec: BehaviorSpec
 
@@ -79,8 +82,8 @@ class Players(Areas):
     observation of the next.
 
     Args:
-        start: Opens player k after so many restarts.
-        count: How many players.
+        start: Opens player k for its n-th life.
+        lives: For each player, how often one was started before, in earlier parts of a resumed run.
         limits: How often one may be started again.
         logs: Folder of the players' logs; one that died leaves its log as ``Player-<k>.died-<r>.log``.
         launched: Whether ``start`` launches players; else it waits for one to dial in, and waits only once.
@@ -89,21 +92,28 @@ class Players(Areas):
         behavior: The name of the players' behavior.
         behavior_spec: What its agents observe and do.
         restarts: How often players were started again.
+        observations: What every slot showed last, (slots, observation size).
 
     Raises:
         TrainerError: A player can't be opened, or one differs from the others.
     """
 
     def __init__(
-        self, start: Callable[[int, int], Player], count: int, limits: RestartLimits, logs: Path, launched: bool
+        self,
+        start: Callable[[int, int], Player],
+        lives: Sequence[int],
+        limits: RestartLimits,
+        logs: Path,
+        launched: bool,
     ) -> None:
         self._start = start
+        self._earlier_lives = lives
         self._limits = limits
         self._logs = logs
         self._launched = launched
         self._console = Console(stderr=True)
-        self._restarts: list[list[float]] = [[] for _ in range(count)]
-        self._players = _open_all(start, count)
+        self._restarts: list[list[float]] = [[] for _ in lives]
+        self._players = _open_all(start, lives)
         first = self._players[0]
         self.behavior, self.behavior_spec, self._areas = first.behavior, first.spec, first.slots.num_envs
         try:
@@ -112,19 +122,35 @@ class Players(Areas):
         except TrainerError:
             self.close()
             raise
-        super().__init__(count * self._areas, first.slots.observation_space, first.slots.action_space)
+        super().__init__(len(lives) * self._areas, first.slots.observation_space, first.slots.action_space)
 
     @property
     def restarts(self) -> int:
         """How often players were started again."""
         return sum(len(times) for times in self._restarts)
 
+    @property
+    def lives(self) -> list[int]:
+        """For each player, how often one was started before the present one, in the whole run."""
+        return [earlier + len(times) for earlier, times in zip(self._earlier_lives, self._restarts, strict=True)]
+
+    def ask_states(self) -> None:
+        """Has every player that can send its areas' state with its answer to the next step."""
+        for player in self._players:
+            player.state.ask()
+
+    def states(self) -> list[bytes] | None:
+        """What every player answered to ``ask_states``; None if one did not."""
+        states = [player.state.state for player in self._players]
+        known = [state for state in states if state is not None]
+        return known if len(known) == len(states) else None
+
     def reset(self) -> VecEnvObs:
         """Begins an episode in every slot."""
         parts = [self._reset(number) for number in range(len(self._players))]
-        self._observations = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        self.observations = parts[0] if len(parts) == 1 else np.concatenate(parts)
         self.reset_infos = [{} for _ in range(self.num_envs)]
-        return self._observations
+        return self.observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Hands every player its actions."""
@@ -135,11 +161,11 @@ class Players(Areas):
         """Waits for every player's areas to ask for their next decision."""
         parts = [self._wait(number) for number in range(len(self._players))]
         if len(parts) == 1:
-            self._observations = np.asarray(parts[0][0])
+            self.observations = np.asarray(parts[0][0])
             return parts[0]
         observations, rewards, dones, infos = zip(*parts, strict=True)
-        self._observations = np.concatenate(observations)
-        return self._observations, np.concatenate(rewards), np.concatenate(dones), [i for part in infos for i in part]
+        self.observations = np.concatenate(observations)
+        return self.observations, np.concatenate(rewards), np.concatenate(dones), [i for part in infos for i in part]
 
     def close(self) -> None:
         """Closes every player."""
@@ -165,8 +191,9 @@ class Players(Areas):
         except FAILURES as error:
             self._restart(number, error)
         except BadNumbers as error:
-            raise TrainerError(explain(error, log_path(self._logs, number))) from error
-        last, next_observations = self._observations[self._slots(number)], self._reset(number)
+            where = error.in_area(0) if self._areas == 1 else error
+            raise TrainerError(explain(where, log_path(self._logs, number))) from where
+        last, next_observations = self.observations[self._slots(number)], self._reset(number)
         cut = [{"terminal_observation": each, "TimeLimit.truncated": True, "dropped": True} for each in last]
         return next_observations, np.zeros(len(last), np.float32), np.ones(len(last), np.bool_), cut
 
@@ -180,7 +207,7 @@ class Players(Areas):
         while True:
             self._allow_restart(number, failure)
             try:
-                player = self._start(number, len(self._restarts[number]))
+                player = self._start(number, self.lives[number])
                 break
             except TrainerError as error:
                 if not self._launched or not isinstance(error.__cause__, FAILURES):
@@ -247,6 +274,9 @@ def open_player(
     port: int,
     timeout_wait: int,
     limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
+    lives: Sequence[int] | None = None,
+    states: Sequence[bytes] | None = None,
+    listen: str = LOOPBACK,
 ) -> Iterator[tuple[Players, str]]:
     """Opens the run's players as a VecEnv, and closes them whatever happens.
 
@@ -257,6 +287,9 @@ def open_player(
         port: Player 0's, if it is launched here; the others' follow.
         timeout_wait: Seconds to wait for each message of a player.
         limits: How often one that failed may be started again.
+        lives: How often each was started before, in earlier parts of a resumed run.
+        states: Of each, the areas' state to go on with.
+        listen: Where to listen for players, unless ``config.env`` says so.
 
     Yields:
         The environments, unwrapped, and the behavior's name.
@@ -264,15 +297,17 @@ def open_player(
     Raises:
         TrainerError: A player can't be started, or does not fit.
     """
+    lives = [0] * config.num_envs if lives is None else lives
 
-    def start(number: int, restarts: int) -> Player:
-        player_seed = (seed + number * PLAYER_STRIDE + restarts * RESTART_STRIDE) % SEEDS
-        return _open(config, logs, number, player_seed, port, timeout_wait)
+    def start(number: int, life: int) -> Player:
+        player_seed = (seed + number * PLAYER_STRIDE + life * RESTART_STRIDE) % SEEDS
+        state = PlayerState(states[number] if states is not None and life == lives[number] else None)
+        return _open(config, logs, number, player_seed, port, timeout_wait, state, listen)
 
     first = place(config.env, port)[2]
     if first + config.num_envs - 1 > 65535:
         raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
-    players = Players(start, config.num_envs, limits, logs, can_be_launched(config.env))
+    players = Players(start, lives, limits, logs, can_be_launched(config.env))
     try:
         with player_errors(log_path(logs, 0)):
             yield players, players.behavior
@@ -283,7 +318,16 @@ def open_player(
             players.close()
 
 
-def _open(config: RunConfig, logs: Path, number: int, seed: int, port: int, timeout_wait: int) -> Player:
+def _open(
+    config: RunConfig,
+    logs: Path,
+    number: int,
+    seed: int,
+    port: int,
+    timeout_wait: int,
+    state: PlayerState,
+    listen: str,
+) -> Player:
     statistics = StatsSideChannel()
     environment = open_environment(
         config.env,
@@ -292,9 +336,10 @@ def _open(config: RunConfig, logs: Path, number: int, seed: int, port: int, time
         port=port,
         timeout_wait=timeout_wait,
         log_folder=logs,
-        side_channels=[statistics, *channels(config, seed)],
+        side_channels=[statistics, *channels(config, seed), state],
         number=number,
         env_args=config.env_args,
+        listen=listen,
     )
     try:
         with player_errors(log_path(logs, number)):
@@ -303,7 +348,7 @@ def _open(config: RunConfig, logs: Path, number: int, seed: int, port: int, time
                 if config.through_gym
                 else UnityVecEnv(environment, statistics)
             )
-            return Player(environment, slots, *only_behavior(environment))
+            return Player(environment, slots, state, *only_behavior(environment))
     except BaseException:
         environment.kill()
         raise
@@ -324,12 +369,12 @@ def _one_area(config: RunConfig, environment: Environment, statistics: StatsSide
     return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)])
 
 
-def _open_all(start: Callable[[int, int], Player], count: int) -> list[Player]:
+def _open_all(start: Callable[[int, int], Player], lives: Sequence[int]) -> list[Player]:
     """Opens players side by side: a build may take long to start."""
-    if count == 1:
-        return [start(0, 0)]
-    with ThreadPoolExecutor(count) as pool:
-        futures = [pool.submit(start, number, 0) for number in range(count)]
+    if len(lives) == 1:
+        return [start(0, lives[0])]
+    with ThreadPoolExecutor(len(lives)) as pool:
+        futures = [pool.submit(start, number, life) for number, life in enumerate(lives)]
     failed = [error for future in futures if (error := future.exception()) is not None]
     players = [future.result() for future in futures if future.exception() is None]
     if failed:

@@ -1,7 +1,9 @@
 """A run's folder, ``results/<run-id>/``: what is in it, how it comes to be, and who may write to it."""
 
 import csv
+import io
 import json
+import math
 import os
 import platform
 import re
@@ -12,6 +14,9 @@ from typing import Any
 
 import yaml
 from stable_baselines3.common.logger import KVWriter
+from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.summary.writer.record_writer import RecordWriter
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
@@ -27,6 +32,9 @@ PACKAGES = (
     "grpcio",
     "protobuf",
 )
+
+# Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
+MAY_CHANGE = ("steps", "env", "env_args", "engine")
 
 # Columns of progress.csv and the logger's tags that fill them; the last two are timing and differ between runs.
 PROGRESS_COLUMNS = {
@@ -156,13 +164,17 @@ class RunFolder:
                 f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out."
             )
         before, now = _flat(self.read_config().as_dict()), _flat(config.as_dict())
-        differing = [
-            f"{name} {before.get(name)} -> {now.get(name)}"
-            for name in sorted(before.keys() | now.keys())
-            if before.get(name) != now.get(name) and name != "steps"
-        ]
-        if differing:
-            raise TrainerError(f"Run {config.run_id!r} was begun with other settings: {', '.join(differing)}.")
+        differing = [name for name in sorted(before.keys() | now.keys()) if before.get(name) != now.get(name)]
+        refused = [name for name in differing if name.partition(".")[0] not in MAY_CHANGE]
+        if refused:
+            listed = ", ".join(
+                f"{name} {before.get(name)} -> {now.get(name)} ({'not ' * (name in refused)}allowed)"
+                for name in differing
+            )
+            raise TrainerError(
+                f"Run {config.run_id!r} was begun with other settings: {listed}; give those that it began with, or "
+                "begin another run. Only these may change: " + ", ".join(MAY_CHANGE) + "."
+            )
 
     def _make_way(self, force: bool) -> None:
         if not force:
@@ -189,11 +201,14 @@ class ProgressFile(KVWriter):
         rows = []
         if steps and path.is_file():
             with path.open(newline="", encoding="utf-8") as former:
-                rows = [row for row in csv.DictReader(former) if float(row["env_steps"]) <= steps]
-        self._file = path.open("w", newline="", encoding="utf-8")
+                rows = [row for row in csv.DictReader(former) if _steps_of(row) <= steps]
+        with io.StringIO(newline="") as text:
+            writer = csv.DictWriter(text, list(PROGRESS_COLUMNS), restval="", extrasaction="ignore")
+            writer.writeheader()
+            writer.writerows(rows)
+            _write(path, text.getvalue())
+        self._file = path.open("a", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, list(PROGRESS_COLUMNS))
-        self._writer.writeheader()
-        self._writer.writerows(rows)
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Appends a row."""
@@ -205,9 +220,39 @@ class ProgressFile(KVWriter):
         self._file.close()
 
 
+def cut_events(folder: Path, steps: int) -> None:
+    """Makes a TensorBoard log end at a step: one file with each value up to there once, or none for step 0.
+
+    A run that was killed has values after its newest checkpoint, which its resumed part will write again.
+    """
+    files = sorted(folder.glob("events.out.tfevents.*"))
+    kept: dict[Any, bytes] = {}
+    for file in files if steps else []:
+        for record in RawEventFileLoader(str(file)).Load():
+            event = Event.FromString(record)
+            names = tuple(value.tag for value in event.summary.value)
+            if event.step <= steps:
+                kept.setdefault((event.step, names) if names else event.WhichOneof("what"), record)
+    if kept:
+        temporary = folder / "cut.tmp"
+        with temporary.open("wb") as output:
+            writer = RecordWriter(output)
+            for record in kept.values():
+                writer.write(record)
+        temporary.replace(files.pop(0))
+    for file in files:
+        file.unlink()
+
+
+def _steps_of(row: dict[str, str]) -> float:
+    """The steps of a row of ``progress.csv``; infinitely many for one that a full disk cut."""
+    whole = len(row) == len(PROGRESS_COLUMNS) and None not in row.values()
+    return float(row["env_steps"]) if whole else math.inf
+
+
 def _write(path: Path, text: str) -> None:
     temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
+    with temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())

@@ -1,15 +1,35 @@
-"""Signals that must not cut what has to be finished."""
+"""Signals that ask a command to stop, and what they must not cut."""
 
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
+
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+def interrupt_on_every_signal() -> None:
+    """Makes SIGTERM and SIGHUP do what Ctrl-C does: end the command cleanly, closing its players."""
+    for number in heeded():
+        signal.signal(number, _interrupt)
+
+
+def heeded() -> list[int]:
+    """The signals that ask to stop; without SIGHUP where nohup has it ignored."""
+    hangup = getattr(signal, "SIGHUP", None)
+    return [number for number in STOPPING if number != hangup or signal.getsignal(number) != signal.SIG_IGN]
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Keeps an impatient Ctrl-C from cutting what must be finished: saving, and closing the player."""
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    former = {number: signal.signal(number, signal.SIG_IGN) for number in STOPPING}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, former)
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

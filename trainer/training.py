@@ -1,37 +1,41 @@
 """A training run: player -> stages -> PPO, with progress, checkpoints and a clean stop."""
 
 import signal
-import sys
 import time
 from collections import deque
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from rich.console import Console
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from trainer.algorithms import WINDOW, build_algorithm, steps_per_update
-from trainer.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
+from trainer.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint, to_bytes
 from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
-from trainer.players import EpisodeMonitor
+from trainer.players import EpisodeMonitor, Players
 from trainer.progress import ProgressDisplay, Snapshot
-from trainer.results import ProgressFile, RunFolder
-from trainer.signals import uninterrupted
+from trainer.results import ProgressFile, RunFolder, cut_events
+from trainer.run_state import Stages, Windows, load_policy, put_back, take
+from trainer.signals import heeded, uninterrupted
+from trainer.unity import BadNumbers
 
 ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
 CHECKPOINT_STEPS = 500_000
 OBSERVATION_CLIP = 10.0
-NEVER = sys.maxsize  # for an off-policy algorithm, whose log_interval counts episodes; its rows are _Recorder's
 CURIOSITY_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",
     "inverse_loss": "Losses/Curiosity Inverse Loss",
@@ -51,6 +55,7 @@ class Counters:
         steps_to_50_success: Agent steps at which half of the last 100 episodes had succeeded, or None.
         steps_to_90_success: The same for nine tenths.
         restarts: How often a player was started again because it had died or hung.
+        resumes: How often the run was resumed.
     """
 
     env_steps: int = 0
@@ -59,6 +64,7 @@ class Counters:
     steps_to_50_success: int | None = None
     steps_to_90_success: int | None = None
     restarts: int = 0
+    resumes: int = 0
 
 
 class ObservationNormaliser(VecNormalize):
@@ -77,16 +83,6 @@ class ObservationNormaliser(VecNormalize):
 
     def _update_reward(self, reward: NDArray[np.float64]) -> None:
         pass
-
-
-@dataclass
-class Stages:
-    """The environment's stages, lowest first, and the algorithm on top."""
-
-    player: VecEnv
-    normaliser: VecNormalize
-    curiosity: Curiosity | None
-    model: BaseAlgorithm
 
 
 def build_stages(config: RunConfig, player: VecEnv) -> Stages:
@@ -108,80 +104,131 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
     return Stages(player, normaliser, curiosity, model)
 
 
-def train(config: RunConfig, folder: RunFolder, stages: Stages, counters: Counters) -> bool:
-    """Trains until ``config.steps``, a signal or an error; whatever ends it, a checkpoint is saved.
+def train(
+    config: RunConfig, folder: RunFolder, stages: Stages, counters: Counters, checkpoint: Checkpoint | None = None
+) -> bool:
+    """Trains until ``config.steps``, a signal or an error; whatever ends it, the last whole update is saved.
 
     Args:
         config: The run.
         folder: Where its results go.
-        stages: Of ``build_stages``, with a checkpoint loaded into them if the run is resumed.
-        counters: Updated as the run goes.
+        stages: Of ``build_stages``.
+        counters: Of the checkpoint, or new ones; updated as the run goes, and those of the last update at the end.
+        checkpoint: Of a resumed run, whose players were opened with its states.
 
     Returns:
         Whether all steps were taken; False if a signal ended it before.
 
     Raises:
-        TrainerError: The player failed; the checkpoint is saved all the same.
+        TrainerError: The player failed, the folder can't be written, or numbers went bad; the last whole update is
+            saved all the same.
     """
     model = stages.model
-    update_steps = steps_per_update(config) * stages.player.num_envs
-    updates_a_row = max(1, ROW_STEPS // update_steps)
+    windows: Windows = {name: deque(maxlen=WINDOW) for name in ("return", "length", "success", "curiosity_return")}
+    cut_events(folder.tensorboard, counters.env_steps)
     outputs = [ProgressFile(folder.progress, counters.env_steps), TensorBoardOutputFormat(str(folder.tensorboard))]
     model.set_logger(Logger(str(folder.path), outputs))
+    if checkpoint is not None:
+        load_policy(checkpoint, stages, config.algo)
+        if not put_back(checkpoint, stages, windows):
+            Console().print("The player can't go on where it was: new episodes begin.", highlight=False)
+    writer = CheckpointWriter(folder.checkpoints)
     with ProgressDisplay(config, counters.env_steps) as display, _StopSignals() as signals:
+        recorder = _Recorder(config, stages, windows, counters, display, signals, writer)
         try:
-            model.learn(
-                max(config.steps - counters.env_steps, 0),
-                callback=_Recorder(stages, folder, counters, display, signals),
-                log_interval=NEVER if isinstance(model, OffPolicyAlgorithm) else updates_a_row,
-                reset_num_timesteps=False,
-            )
+            with _named_step(model):
+                model.learn(
+                    max(config.steps - counters.env_steps, 0),
+                    callback=recorder,
+                    log_interval=None,  # type: ignore[arg-type]  # rows are the recorder's, by steps and not by calls
+                    reset_num_timesteps=False,
+                )
         finally:
+            vars(counters).update(vars(recorder.saved))
             with uninterrupted():
-                _save(folder, stages, counters)
+                writer.keep()
                 model.logger.close()
     return not signals.received
 
 
-def resume(folder: RunFolder, stages: Stages, checkpoint: str | None = None) -> Counters:
-    """Loads a checkpoint, the newest if none is named, into freshly built stages.
+def load_trained(config: RunConfig, folder: RunFolder, stages: Stages, checkpoint: str | None = None) -> Counters:
+    """Puts a run's policy into freshly built stages, to be played and not to be trained further.
+
+    Args:
+        config: The run.
+        folder: Its folder.
+        stages: Of ``build_stages``.
+        checkpoint: The checkpoint's name; the newest if not given.
+
+    Returns:
+        The counters that were saved with it.
 
     Raises:
-        TrainerError: There is none, or it does not fit.
+        TrainerError: There is none, it is damaged, or it does not fit.
     """
-    path = find_checkpoint(folder.checkpoints, checkpoint)
-    return Counters(**load_checkpoint(path, stages.model, stages.normaliser, stages.curiosity))
+    read = read_checkpoint(folder.checkpoints, checkpoint)
+    load_policy(read, stages, config.algo)
+    return Counters(**read.facts["counters"])
 
 
-def _save(folder: RunFolder, stages: Stages, counters: Counters) -> None:
-    save_checkpoint(folder.checkpoints, asdict(counters), stages.model, stages.normaliser, stages.curiosity)
+@contextmanager
+def _named_step(model: BaseAlgorithm) -> Iterator[None]:
+    """Says after which step numbers went bad."""
+    try:
+        yield
+    except TrainerError as error:
+        if isinstance(error.__cause__, BadNumbers):
+            raise TrainerError(f"After step {model.num_timesteps:,}: {error}") from error
+        raise
 
 
 class _Recorder(BaseCallback):
-    """Watches infos, records what Stable-Baselines3 does not, and stops learning when asked to."""
+    """Watches infos, records what Stable-Baselines3 does not, saves after every update, and stops when asked to.
+
+    Attributes:
+        saved: The counters of the last update, which is the newest checkpoint's.
+    """
 
     def __init__(
         self,
+        config: RunConfig,
         stages: Stages,
-        folder: RunFolder,
+        windows: Windows,
         counters: Counters,
         display: ProgressDisplay,
         signals: "_StopSignals",
+        writer: CheckpointWriter,
     ) -> None:
         super().__init__()
+        self.saved = replace(counters)
+        self._config = config.as_dict()
         self._stages = stages
-        self._folder = folder
+        self._recent = windows
         self._counters = counters
         self._display = display
         self._signals = signals
-        self._recent: dict[str, deque[float]] = {
-            name: deque(maxlen=WINDOW) for name in ("return", "length", "success", "curiosity_return")
-        }
-        self._next_checkpoint = counters.env_steps + CHECKPOINT_STEPS
+        self._writer = writer
+        # An off-policy algorithm's rollout is a step: it is saved now and then, and its rows are by steps.
+        self._on_policy = isinstance(stages.model, OnPolicyAlgorithm)
+        self._rollout_steps = steps_per_update(config)
+        self._row_updates = max(1, ROW_STEPS // (self._rollout_steps * stages.player.num_envs))
+        self._step_of_rollout = 0
         self._next_row = counters.env_steps + ROW_STEPS
+        self._next_kept = counters.env_steps + CHECKPOINT_STEPS
         self._earlier_seconds = counters.wall_seconds
         self._earlier_restarts = counters.restarts
         self._started = time.monotonic()
+
+    def _on_training_start(self) -> None:
+        # SB3's clock and its count of steps go on where they were.
+        self.model.start_time -= int(self._earlier_seconds * 1e9)
+        self.model._num_timesteps_at_start = 0
+
+    def _on_rollout_start(self) -> None:
+        self._step_of_rollout = 0
+        if self._on_policy or self.num_timesteps >= self._next_kept:
+            self._save()
+        self._ask_before_last_step()
 
     def _on_step(self) -> bool:
         self._counters.env_steps = self.num_timesteps
@@ -190,7 +237,33 @@ class _Recorder(BaseCallback):
         for info in self.locals["infos"]:
             if "episode" in info:
                 self._end_episode(info)
+        self._step_of_rollout += 1
+        self._ask_before_last_step()
         return not self._signals.received
+
+    def _on_training_end(self) -> None:
+        if not self._on_policy or self._step_of_rollout == self._rollout_steps:  # and not stopped in the middle
+            self._save()
+
+    def _ask_before_last_step(self) -> None:
+        player = self._stages.player
+        if self._on_policy and self._step_of_rollout == self._rollout_steps - 1 and isinstance(player, Players):
+            player.ask_states()
+
+    def _save(self) -> None:
+        """Saves the run as it is after an update."""
+        if self.num_timesteps == self.saved.env_steps:
+            return
+        try:
+            facts = {"config": self._config, "counters": asdict(self._counters)}
+            data = to_bytes(take(self._stages, self._recent, facts))
+        except TrainerError as error:
+            raise TrainerError(f"After the update at step {self.num_timesteps:,}: {error}") from error
+        self._writer.write(self.num_timesteps, data)
+        self.saved = replace(self._counters)
+        if self.num_timesteps >= self._next_kept:
+            self._next_kept += CHECKPOINT_STEPS
+            self._writer.keep()
 
     def _end_episode(self, info: dict[str, Any]) -> None:
         self._counters.episodes += 1
@@ -231,23 +304,24 @@ class _Recorder(BaseCallback):
                 metrics.get("reward"),
             )
         )
-        if isinstance(self.model, OffPolicyAlgorithm) and self.num_timesteps >= self._next_row:
+        update = self.num_timesteps // (self._rollout_steps * self._stages.player.num_envs)
+        if isinstance(self.model, OnPolicyAlgorithm):
+            if update % self._row_updates == 0:
+                self.model.dump_logs(update)
+        elif isinstance(self.model, OffPolicyAlgorithm) and self.num_timesteps >= self._next_row:
             self._next_row += ROW_STEPS
             self.model.dump_logs()
-        if self.num_timesteps >= self._next_checkpoint:
-            self._next_checkpoint += CHECKPOINT_STEPS
-            _save(self._folder, self._stages, self._counters)
 
 
 class _StopSignals:
-    """The first SIGINT or SIGTERM asks for a clean stop; a second one interrupts at once."""
+    """The first SIGINT, SIGTERM or SIGHUP asks for a clean stop; a second one interrupts at once."""
 
     def __init__(self) -> None:
         self.received = False
         self._former: dict[int, Any] = {}
 
     def __enter__(self) -> "_StopSignals":
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in heeded():
             self._former[number] = signal.signal(number, self._receive)
         return self
 

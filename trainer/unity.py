@@ -1,6 +1,8 @@
 """Opens any ML-Agents environment: our own player, a Unity build, the Unity editor, or a player elsewhere."""
 
 import atexit
+import ipaddress
+import math
 import os
 import platform
 import shutil
@@ -22,6 +24,7 @@ from mlagents_envs.exception import (
     UnityWorkerInUseException,
 )
 from mlagents_envs.side_channel.side_channel import SideChannel
+from rich.console import Console
 
 from corridor_server.columnar import AgentRows, read_output, write_step
 from trainer.communicator import ExchangeCommunicator, parse, serialise
@@ -33,7 +36,27 @@ FOREIGN = {".exe": "Windows", ".app": "macOS", ".x86_64": "Linux", ".x86": "Linu
 
 
 class BadNumbers(RuntimeError):
-    """Observations or rewards have NaN or Inf; a RuntimeError as in ``mlagents_envs``."""
+    """An observation or reward is NaN or infinite; a RuntimeError as in ``mlagents_envs``.
+
+    Args:
+        field: Which number, such as ``observation[3]``.
+        value: It.
+        agent: Whose; None if that is not known.
+        area: In which area the agent is; None if that is not known.
+    """
+
+    def __init__(self, field: str, value: float, agent: int | None = None, area: int | None = None) -> None:
+        self.field, self.value, self.agent, self.area = field, value, agent, area
+        whose = "" if agent is None else f" of agent {agent}"
+        where = "" if area is None else f" in area {area}"
+        super().__init__(
+            f"The player sent {field} = {value}{whose}{where}, but finite numbers were expected; look for a division "
+            "by zero in the player."
+        )
+
+    def in_area(self, area: int) -> "BadNumbers":
+        """The same, with the area named."""
+        return BadNumbers(self.field, self.value, self.agent, area)
 
 
 @dataclass(frozen=True)
@@ -91,7 +114,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         try:
             super()._update_state(output)
         except RuntimeError as error:  # what mlagents_envs raises for NaN or Inf, and for nothing else
-            raise BadNumbers(str(error)) from error
+            raise _bad_number(output) from error
 
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
@@ -137,6 +160,21 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
 
 
+def _bad_number(output: Any) -> BadNumbers:
+    """Finds what ``mlagents_envs`` refused in an UnityRLOutputProto."""
+    for infos in output.agentInfos.values():
+        for info in infos.value:
+            for index, observation in enumerate(info.observations):
+                for component, value in enumerate(observation.float_data.data):
+                    if not math.isfinite(value):
+                        of_several = f"s[{index}]" if len(info.observations) > 1 else ""
+                        return BadNumbers(f"observation{of_several}[{component}]", value, info.id)
+            for field, value in (("reward", info.reward), ("group reward", info.group_reward)):
+                if not math.isfinite(value):
+                    return BadNumbers(field, value, info.id)
+    return BadNumbers("a number", math.nan)
+
+
 def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
     if len(specs) != 1:
         return None
@@ -148,9 +186,11 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
 
 
 def _steps(agents: AgentRows) -> tuple[DecisionSteps, TerminalSteps]:
-    for values, source in ((agents.observations, "observations"), (agents.rewards, "rewards")):
-        if not np.isfinite(values).all():
-            raise BadNumbers(f"The {source} provided had NaN or infinite values.")
+    for values, field in ((agents.observations, "observation"), (agents.rewards, "reward")):
+        finite = np.isfinite(values)
+        if not finite.all():
+            row, *component = np.argwhere(~finite)[0].tolist()
+            raise BadNumbers(f"{field}{component or ''}", float(values[row, *component]), int(agents.ids[row]))
     if not agents.done.any():
         nobody = agents.done.nonzero()[0]
         return _decision(agents, slice(None)), _terminal(agents, nobody)
@@ -181,6 +221,7 @@ def open_environment(
     side_channels: list[SideChannel] | None = None,
     number: int = 0,
     env_args: Sequence[str] = (),
+    listen: str = LOOPBACK,
 ) -> Environment:
     """Starts or awaits a player and shakes hands.
 
@@ -194,11 +235,13 @@ def open_environment(
         side_channels: Channels to register.
         number: Of several players, from 0; added to the port.
         env_args: Arguments of a launched player's own.
+        listen: Where to listen, unless ``env`` says so. The protocol has no authentication: a warning is printed for
+            anything but loopback.
 
     Raises:
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
     """
-    file_name, host, port = place(env, port)
+    file_name, host, port = place(env, port, listen)
     port += number
     if not 1 <= port <= 65535:
         raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
@@ -209,8 +252,21 @@ def open_environment(
         "side_channels": side_channels,
         "additional_args": list(env_args),
     }
+    if env == BUILTIN:
+        options["additional_args"] += ["--parent", str(os.getpid())]
+        if host not in (LOOPBACK, "0.0.0.0", "[::]"):
+            options["additional_args"] += ["--host", host]
     if file_name is not None:
         file_name = launch_path(file_name)
+    if not is_loopback(host):
+        Console(stderr=True).print(
+            f"Warning: listening on {host}:{port}, which other machines can reach. The ML-Agents protocol has no "
+            "authentication and no encryption: whoever connects first is the player. Trust that network, or leave it.",
+            style="yellow",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
     if log_folder is not None:
         log_folder.mkdir(parents=True, exist_ok=True)
         options["log_folder"] = str(log_folder.absolute())
@@ -306,16 +362,24 @@ def _check_contract(spec: BehaviorSpec) -> None:
         )
 
 
-def place(env: str, port: int) -> tuple[str | None, str, int]:
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can connect to what listens on a host."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == LOOPBACK
+
+
+def place(env: str, port: int, listen: str = LOOPBACK) -> tuple[str | None, str, int]:
     """Executable (None: wait for a player), host and port to listen on; ``port`` is for an executable."""
     if env == BUILTIN:
-        return _builtin_player(), LOOPBACK, port
+        return _builtin_player(), listen, port
     if env == EDITOR:
-        return None, LOOPBACK, UnityEnvironment.DEFAULT_EDITOR_PORT
+        return None, listen, UnityEnvironment.DEFAULT_EDITOR_PORT
     host, colon, number = env.rpartition(":")
     if colon and number.isdigit() and os.sep not in env:
         return None, host, int(number)
-    return env, LOOPBACK, port
+    return env, listen, port
 
 
 def launch_path(file_name: str) -> str:

@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from trainer.errors import TrainerError
 from trainer.statistics import episode_info
-from trainer.unity import Environment, only_behavior
+from trainer.unity import BadNumbers, Environment, only_behavior
 
 
 class Areas(VecEnv):
@@ -118,10 +118,14 @@ class UnityVecEnv(Areas):
         ended_slots: list[int] = []
         sent = isinstance(self.environment, Environment)
         while True:
-            if sent:
-                self.environment.receive()
-            else:
-                self.environment.step()
+            try:
+                if sent:
+                    self.environment.receive()
+                else:
+                    self.environment.step()
+            except BadNumbers as error:
+                area = None if error.agent is None else self._slots.get(error.agent)
+                raise error if area is None else error.in_area(area) from error
             sent = False
             decision, terminal = self.environment.get_steps(self.behavior)
             ended_slots += self._end_episodes(terminal, rewards, dones, infos)

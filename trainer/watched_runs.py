@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from trainer.checkpoint import latest_checkpoint
+from trainer.checkpoint import kept_checkpoints
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.live import LiveEvaluations
@@ -130,10 +130,8 @@ class WatchedRuns:
 
 def _newest(folder: RunFolder, config: RunConfig) -> tuple[str | None, Path | None]:
     """Whether to show the recorded evaluation or, if it is older or missing, to play the newest checkpoint."""
-    try:
-        checkpoint: Path | None = latest_checkpoint(folder.checkpoints)
-    except TrainerError:
-        checkpoint = None
+    kept = kept_checkpoints(folder.checkpoints)
+    checkpoint = kept[-1] if kept else None
     recorded = _stamp(folder.trajectories)
     saved = _stamp(checkpoint) if checkpoint else None
     if recorded and (saved is None or recorded[0] >= saved[0] or config.env != "builtin"):

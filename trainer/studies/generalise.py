@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from corridor_server.config import CorridorConfig
+from trainer.checkpoint import checkpoints
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.evaluation import evaluate, summarise
@@ -35,7 +36,7 @@ from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED
 from trainer.studies.executors import free_port
 from trainer.studies.figures import new_figure, save
-from trainer.training import build_stages, resume
+from trainer.training import build_stages, load_trained
 from trainer.unity import BUILTIN
 
 AREAS = 64
@@ -205,7 +206,7 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
         ):
             shown = NearestOpponent(player)
             stages = build_stages(config, shown)
-            resume(folder, stages)
+            load_trained(config, folder, stages)
             return summarise(evaluate(stages.model, stages.normaliser, shown, episodes))
 
 
@@ -239,7 +240,7 @@ def run_generalise(
     """
     configs = [folder.read_config() for folder in folders]
     for config, folder in zip(configs, folders, strict=True):
-        if not any(folder.checkpoints.glob("step-*.pt")):
+        if not checkpoints(folder.checkpoints):
             raise TrainerError(f"The run {config.run_id} has no checkpoint in {folder.checkpoints}; train it first.")
     try:
         target.mkdir(parents=True, exist_ok=True)
