@@ -173,7 +173,7 @@ def test_resuming_with_other_settings_lists_them(tmp_path):
     (folder / "configuration.yaml").write_text(yaml.safe_dump({"run": Train("mine").run_config().as_dict()}))
     fails(
         "train", "--run-id", "mine", "--results-dir", tmp_path, "--resume", "--seed", 5, "--c", 0.1,
-        says=r"begun with other settings: curiosity.c 0.3 -> 0.1, seed 0 -> 5\.",
+        says=r"begun with other settings: curiosity.c 0.3 -> 0.1 \(not allowed\), seed 0 -> 5 \(not allowed\); give",
     )  # fmt: skip
 
 
