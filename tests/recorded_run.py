@@ -1,7 +1,6 @@
 """A run's folder as tests need it: settings of today, and the recorded evaluation of a real trained run.
 
-``golden/progress.csv`` is of ``corridor train --run-id fast``, and ``golden/trajectories.npz`` has 12 episodes of its
-checkpoint step-1000448, two of which fail.
+``golden/trajectories.npz`` (12 episodes) and ``golden/progress.csv`` are of ``corridor train --run-id fast``.
 """
 
 import shutil

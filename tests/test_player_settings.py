@@ -4,7 +4,7 @@ import pytest
 
 from corridor_server.parameters import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.side_channels import read_engine_setting, read_environment_parameter
-from trainer.config import CORRIDOR, EngineConfig
+from trainer.config import EngineConfig
 from trainer.errors import TrainerError
 from trainer.main import Train, main
 from trainer.player_settings import channels
@@ -47,7 +47,7 @@ def test_the_defaults_are_those_of_mlagents_learn():
         "target frame rate -1",
         "capture frame rate 60",
     ]
-    assert parameters == {"failure_penalty": 1.0, **{name: pytest.approx(value) for name, value in CORRIDOR.items()}}
+    assert parameters == {"failure_penalty": 1.0}
 
 
 def test_a_file_and_the_command_line_which_wins(tmp_path):
@@ -126,9 +126,3 @@ def test_everything_after_env_args_is_the_players(monkeypatch):
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
     assert seen[0].seed == 3
     assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
-
-
-def test_given_parameters_replace_the_presets():
-    given = Train("r", env_param=("goal_x=5", "agent_spawn_x=-8")).run_config().environment_parameters
-    kept = {name: value for name, value in CORRIDOR.items() if not name.startswith("agent_spawn_x_")}
-    assert given == {**kept, "goal_x": 5.0, "agent_spawn_x": -8.0}

@@ -23,6 +23,7 @@ from trainer.errors import TrainerError
 from trainer.evaluation import evaluate
 from trainer.main import Train
 from trainer.player_settings import channels
+from trainer.player_state import PlayerState
 from trainer.players import PLAYER_STRIDE, EpisodeMonitor, Player, Players, open_player
 from trainer.unity import open_environment
 from trainer.vec_env import Areas, UnityVecEnv, action_space, observation_space
@@ -126,20 +127,22 @@ class Recorded(Areas):
 
 def opened(slots: Recorded) -> Player:
     environment = SimpleNamespace(kill=slots.close, close=slots.close, _loaded=True)
-    return Player(environment, slots, "Scripted", BEHAVIOR)
+    return Player(environment, slots, PlayerState(), "Scripted", BEHAVIOR)
 
 
 def failing(*failures: list, limits: RestartLimits = UNLIMITED, launched: bool = True) -> Players:
     """One player whose lives end with these failures."""
     lives = [list(each) for each in failures]
     return Players(
-        lambda number, restarts: opened(Recorded(failures=lives[restarts])), 1, limits, Path("nowhere"), launched
+        lambda number, restarts: opened(Recorded(failures=lives[restarts])), [0], limits, Path("nowhere"), launched
     )
 
 
 def test_every_player_has_its_actions_before_the_first_answer_is_awaited():
     calls: list = []
-    players = Players(lambda number, restarts: opened(Recorded(number, calls)), 3, UNLIMITED, Path("nowhere"), True)
+    players = Players(
+        lambda number, restarts: opened(Recorded(number, calls)), [0] * 3, UNLIMITED, Path("nowhere"), True
+    )
     players.reset()
     calls.clear()
     players.step(np.zeros((6, 2)))
@@ -160,7 +163,7 @@ def test_a_player_computes_while_nobody_waits_for_it(open_corridor):
 
 def test_players_of_different_builds_are_refused():
     with pytest.raises(TrainerError, match=r"Player 1 has 3 areas .* but the first had 2 .* the same build"):
-        Players(lambda number, _: opened(Recorded(areas=2 + number)), 2, UNLIMITED, Path("nowhere"), True)
+        Players(lambda number, _: opened(Recorded(areas=2 + number)), [0] * 2, UNLIMITED, Path("nowhere"), True)
 
 
 def test_if_one_of_several_cant_be_opened_the_others_are_closed():
@@ -172,7 +175,7 @@ def test_if_one_of_several_cant_be_opened_the_others_are_closed():
         return opened(Recorded(number, calls))
 
     with pytest.raises(TrainerError, match="no room"):
-        Players(start, 3, UNLIMITED, Path("nowhere"), True)
+        Players(start, [0] * 3, UNLIMITED, Path("nowhere"), True)
     assert [call for call in calls if call[0] == "close"] == [("close", 0), ("close", 2)]
 
 
@@ -263,7 +266,7 @@ def test_limits_in_a_period():
 
     lives = [[DEAD], [DEAD], [DEAD], []]
     limits = RestartLimits(-1, 1, 0.05)
-    slow = Players(lambda _, restarts: opened(Slow(failures=lives[restarts])), 1, limits, Path("nowhere"), True)
+    slow = Players(lambda _, restarts: opened(Slow(failures=lives[restarts])), [0], limits, Path("nowhere"), True)
     play(slow, 6)
     assert slow.restarts == 3
 
@@ -272,7 +275,7 @@ def test_limits_hold_for_each_player_alone():
     lives = {(0, 0): [DEAD], (1, 0): [DEAD]}
     players = Players(
         lambda number, restarts: opened(Recorded(failures=lives.get((number, restarts), []))),
-        2, RestartLimits(), Path("nowhere"), True,
+        [0, 0], RestartLimits(), Path("nowhere"), True,
     )  # fmt: skip
     play(players, 3)
     assert players.restarts == 2
@@ -292,7 +295,7 @@ def starting(attempts: list, launched: bool) -> Players:
             raise TrainerError(str(failure)) from failure
         return opened(Recorded())
 
-    return Players(start, 1, UNLIMITED, Path("nowhere"), launched)
+    return Players(start, [0], UNLIMITED, Path("nowhere"), launched)
 
 
 def test_a_player_that_dies_while_it_starts_is_tried_again():

@@ -12,7 +12,6 @@ from recorded_run import GOLDEN, recorded_run
 
 from corridor_server.config import CorridorConfig
 from corridor_server.gym_env import CorridorEnv
-from trainer.config import CORRIDOR
 from trainer.errors import TrainerError
 from trainer.evaluation import Episode
 from trainer.main import Train
@@ -193,7 +192,12 @@ def test_the_recorded_run_is_found_by_its_folder(tmp_path):
 
 def test_a_runs_corridor_is_what_its_player_was_told():
     """As float32, which the side channel carries; a range's own name sets both of its ends."""
-    told = corridor_of(Train("r", env_param=("switch_radius=0.1", "agent_spawn_x=-8"), penalty=0.5).run_config())
+    told = corridor_of(
+        Train(
+            "r", env_param=("switch_radius=0.1", "agent_spawn_x=-8", "opponent_spawn_x_min=6"), penalty=0.5
+        ).run_config()
+    )
     assert told.switch_radius == float(np.float32(0.1))
-    assert (told.agent_spawn_x, told.opponent_spawn_x) == ((-8.0, -8.0), CorridorConfig().opponent_spawn_x)
-    assert (told.agent_speed, told.failure_penalty) == (CORRIDOR["agent_speed"], 0.5)
+    assert told.agent_spawn_x == (-8.0, -8.0)
+    assert told.opponent_spawn_x == (6.0, CorridorConfig().opponent_spawn_x[1])
+    assert (told.agent_speed, told.failure_penalty) == (CorridorConfig().agent_speed, 0.5)

@@ -213,6 +213,7 @@ class _Recorder(BaseCallback):
         self._rollout_steps = steps_per_update(config)
         self._row_updates = max(1, ROW_STEPS // (self._rollout_steps * stages.player.num_envs))
         self._step_of_rollout = 0
+        self._cut = False
         self._next_row = counters.env_steps + ROW_STEPS
         self._next_kept = counters.env_steps + CHECKPOINT_STEPS
         self._earlier_seconds = counters.wall_seconds
@@ -239,10 +240,11 @@ class _Recorder(BaseCallback):
                 self._end_episode(info)
         self._step_of_rollout += 1
         self._ask_before_last_step()
-        return not self._signals.received
+        self._cut = self._signals.received
+        return not self._cut
 
     def _on_training_end(self) -> None:
-        if not self._on_policy or self._step_of_rollout == self._rollout_steps:  # and not stopped in the middle
+        if not self._on_policy or not self._cut:  # what a rollout that was cut changed has not been learned from
             self._save()
 
     def _ask_before_last_step(self) -> None:

@@ -21,6 +21,10 @@ TIMING = {"steps_per_second", "wall_seconds"}
 STARTING_SECONDS = 180.0  # on a machine that does ten other things
 
 
+def _default_hangup() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 class Run:
     """One run id, and the command that trains it."""
 
@@ -37,6 +41,8 @@ class Run:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            # Where the tests themselves run under nohup, the trainer would rightly ignore a SIGHUP.
+            preexec_fn=_default_hangup,
         )
 
     def finish(self, *options: object) -> int:
