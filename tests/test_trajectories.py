@@ -15,7 +15,8 @@ from corridor_server.gym_env import CorridorEnv
 from trainer.errors import TrainerError
 from trainer.evaluation import Episode
 from trainer.main import Train
-from trainer.scene import FOREIGN, choose, corridor_of, episode_record, run_scene
+from trainer.player_settings import corridor_of
+from trainer.scene import FOREIGN, choose, episode_record, run_scene
 from trainer.trajectories import Trajectories, load_trajectories, save_trajectories
 
 CONFIG = Train(run_id="fast").run_config()

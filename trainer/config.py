@@ -218,6 +218,11 @@ class RunConfig:
         """Plain names and values, as ``from_dict`` reads them."""
         return dataclasses.asdict(self)
 
+    def facts(self) -> dict[str, Any]:
+        """What tells it from other runs in a summary or on a page."""
+        names = ("run_id", "env", "preset", "algo", "seed")
+        return {**{name: getattr(self, name) for name in names}, "c": self.curiosity.c, "penalty": self.penalty}
+
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "RunConfig":
         """The inverse of ``as_dict``.

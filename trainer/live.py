@@ -74,9 +74,10 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from trainer.evaluation import evaluate
+    from trainer.player_settings import corridor_of
     from trainer.results import RunFolder
     from trainer.run import evaluation_seed
-    from trainer.scene import corridor_of, run_scene
+    from trainer.scene import run_scene
     from trainer.training import build_stages, load_trained
     from trainer.trajectories import Trajectories
 

@@ -19,6 +19,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from mlagents_envs.side_channel.engine_configuration_channel import EngineConfigurationChannel
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
@@ -136,6 +137,30 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
             case number:
                 parameters.set_float_parameter(name, number)
     return [engine, parameters]
+
+
+def corridor_of(config: RunConfig) -> CorridorConfig:
+    """The corridor that a run's built-in player makes, as far as it is the same in every episode."""
+    values = asdict(CorridorConfig())
+    ends: dict[str, dict[str, float]] = {
+        name: {"min": value[0], "max": value[1]} for name, value in values.items() if isinstance(value, tuple)
+    }
+    for name, value in {PENALTY: config.penalty, **config.environment_parameters}.items():
+        if not isinstance(value, int | float):
+            continue
+        sent = float(np.float32(value))  # the side channel carries float32
+        of, _, end = name.rpartition("_")
+        if name in ends:
+            ends[name] = {"min": sent, "max": sent}
+        elif of in ends and end in ends[of]:
+            ends[of][end] = sent
+        elif name in values:
+            values[name] = sent
+    ranges = {name: (range_["min"], range_["max"]) for name, range_ in ends.items()}
+    try:
+        return CorridorConfig.from_mapping({**values, **ranges})
+    except ValueError:  # another player's parameter of the same name
+        return CorridorConfig()
 
 
 def _parse(name: str, value: Any, seed: int) -> Value:

@@ -15,10 +15,10 @@ from trainer.config import RestartLimits, RunConfig
 from trainer.errors import TrainerError
 from trainer.evaluation import Episode, evaluate, summarise
 from trainer.figures import save_episode_paths, save_learning_curve
+from trainer.player_settings import corridor_of
 from trainer.players import open_player
 from trainer.results import RunFolder
 from trainer.run_state import player_states, policy_sha256
-from trainer.scene import corridor_of
 from trainer.training import Counters, build_stages, load_trained, train
 from trainer.trajectories import Trajectories, save_trajectories
 from trainer.unity import LOOPBACK, can_be_launched, is_corridor
@@ -83,13 +83,7 @@ def train_run(
         seconds = counters.wall_seconds - first_second
         folder.write_summary(
             {
-                "run_id": config.run_id,
-                "env": config.env,
-                "preset": config.preset,
-                "algo": config.algo,
-                "seed": config.seed,
-                "c": config.curiosity.c,
-                "penalty": config.penalty,
+                **config.facts(),
                 "env_steps": counters.env_steps,
                 "episodes": counters.episodes,
                 "wall_seconds": round(counters.wall_seconds, 3),

@@ -14,7 +14,7 @@ from corridor_server.gym_env import CorridorEnv
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.evaluation import Episode
-from trainer.player_settings import PENALTY
+from trainer.player_settings import corridor_of
 from trainer.players import PLAYER_STRIDE, SEEDS
 from trainer.trajectories import Trajectories
 from trainer.unity import is_corridor
@@ -47,7 +47,7 @@ def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHO
     chosen = choose(trajectories.episodes, episodes)
     hidden = _hidden_targets(config, trajectories, chosen, corridor)
     return {
-        "run": run_facts(config),
+        "run": {**config.facts(), "steps": config.steps},
         "env_steps": trajectories.env_steps,
         "corridor": corridor_facts(corridor, switch_known=hidden is not None),
         "evaluated": len(trajectories.episodes),
@@ -56,44 +56,6 @@ def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHO
             episode_record(trajectories.episodes[row], row, corridor, None if hidden is None else hidden[row])
             for row in chosen
         ],
-    }
-
-
-def corridor_of(config: RunConfig) -> CorridorConfig:
-    """The corridor that a run's built-in player makes, as far as it is the same in every episode."""
-    values = asdict(CorridorConfig())
-    ends: dict[str, dict[str, float]] = {
-        name: {"min": value[0], "max": value[1]} for name, value in values.items() if isinstance(value, tuple)
-    }
-    for name, value in {PENALTY: config.penalty, **config.environment_parameters}.items():
-        if not isinstance(value, int | float):
-            continue
-        sent = float(np.float32(value))  # the side channel carries float32
-        of, _, end = name.rpartition("_")
-        if name in ends:
-            ends[name] = {"min": sent, "max": sent}
-        elif of in ends and end in ends[of]:
-            ends[of][end] = sent
-        elif name in values:
-            values[name] = sent
-    ranges = {name: (range_["min"], range_["max"]) for name, range_ in ends.items()}
-    try:
-        return CorridorConfig.from_mapping({**values, **ranges})
-    except ValueError:  # another player's parameter of the same name
-        return CorridorConfig()
-
-
-def run_facts(config: RunConfig) -> dict[str, Any]:
-    """What the page says of a run."""
-    return {
-        "run_id": config.run_id,
-        "env": config.env,
-        "preset": config.preset,
-        "algo": config.algo,
-        "seed": config.seed,
-        "c": config.curiosity.c,
-        "penalty": config.penalty,
-        "steps": config.steps,
     }
 
 

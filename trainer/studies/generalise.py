@@ -24,11 +24,11 @@ from rich.progress import Progress
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from corridor_server.config import CorridorConfig
 from trainer.checkpoint import checkpoints
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.evaluation import evaluate, summarise
+from trainer.player_settings import corridor_of
 from trainer.players import open_player
 from trainer.results import RunFolder
 from trainer.run import EVALUATION_SEED_OFFSET
@@ -46,7 +46,7 @@ WIDTHS = (1.0, 0.8, 0.6)
 SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)
 SIDES = (1.0, 0.0, -1.0)
 OPPONENTS = (1, 2, 3)
-SPAWN = "agent_spawn_x"  # a range: its two ends are parameters, and its own name sets both
+SPAWN = "agent_spawn_x"  # a range, whose two ends are parameters
 MEASURES = ("success_rate", "opponent_contact_rate", "wall_contact_rate", "mean_return", "mean_episode_length")
 
 
@@ -122,11 +122,8 @@ def nearest(observations: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def panels(config: RunConfig) -> list[Panel]:
     """What is tried with a run's policy; numbers relative to the corridor that it was trained on."""
-    known = dataclasses.asdict(CorridorConfig())
+    known = dataclasses.asdict(corridor_of(config))
     known[f"{SPAWN}_min"], known[f"{SPAWN}_max"] = known.pop(SPAWN)
-    for name, value in config.environment_parameters.items():
-        if isinstance(value, int | float):
-            known |= {f"{SPAWN}_{end}": value for end in ("min", "max")} if name == SPAWN else {name: value}
 
     def scaled(factor: float, *names: str) -> dict[str, float]:
         return {name: known[name] * factor for name in names}
