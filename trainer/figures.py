@@ -67,8 +67,7 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     length, width = config.half_length, config.half_width
     axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, edgecolor=GREY, linewidth=2))
     axes.add_patch(_disc((config.switch_x, config.switch_z), config.switch_radius, SWITCH, 0.15))
-    below = (config.switch_x, config.switch_z - config.switch_radius)
-    axes.annotate("switch", below, (0, -4), textcoords="offset points", color=SWITCH, ha="center", va="top")
+    axes.annotate("switch", (config.switch_x, config.switch_z), color=SWITCH, ha="center", va="center")
     second = max(round(1.0 / config.decision_seconds), 1)
     for opponent in range(opponents):
         columns = seen[:, 8 + 5 * opponent : 10 + 5 * opponent] * length
