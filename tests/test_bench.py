@@ -13,7 +13,7 @@ def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
     monkeypatch.setattr(bench, "AREAS", (1, 8))
     monkeypatch.setattr(bench, "ROUNDS", 1)
     monkeypatch.setattr(bench, "SECONDS", 0.05)
-    monkeypatch.setattr(bench, "TRAIN_STEPS", 4000)
+    monkeypatch.setattr(bench, "TRAIN_STEPS", {"fast": 4000, "paper": 300})
     monkeypatch.setattr(bench, "MEMORY_STEPS", {"1e6": 2000, "1e7": 4000})
     console = Console(record=True, width=160)
     bench.run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console)
@@ -21,11 +21,15 @@ def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
     assert [row["areas"] for row in report["exchange"]] == [1, 8]
     for row in report["exchange"]:
         assert row["official"] is None
-        assert min(row["ours"], row["mlagents_envs"], row["echo"]) > 0
+        assert min(row["ours"], row["mlagents_envs"], row["limit"], row["echo"]) > 0
     assert [row["areas"] for row in report["world"]] == [1, 8]
-    assert [(row["c"], row["preset"]) for row in report["train"]] == [(0.3, "fast"), (0.0, "fast")]
+    assert [(row["c"], row["preset"]) for row in report["train"]] == [
+        (0.3, "fast"),
+        (0.0, "fast"),
+        (0.3, "paper"),
+    ]
     assert report["startup_seconds"]["corridor-server"] > 0
     assert set(report["memory_mb"]) == {"1e6", "1e7"}
     assert report["machine"]["versions"]["mlagents-envs"] == "0.28.0"
     assert (tmp_path / "speed.png").stat().st_size > 1000
-    assert "ours / echo" in console.export_text()
+    assert "limit" in console.export_text()

@@ -12,6 +12,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,16 +34,18 @@ from rich.table import Table
 from corridor_server import columnar
 from corridor_server.areas import Areas
 from corridor_server.config import CorridorConfig
-from corridor_server.messages import EXCHANGE, SERVICE
+from corridor_server.messages import API_VERSION, EXCHANGE, RESET, SERVICE, UnityMessageProto
 from corridor_server.wire import BEHAVIOR
+from trainer.communicator import OK, STOP
 from trainer.errors import TrainerError
 from trainer.unity import BUILTIN, launch_path, open_environment, place
 
 AREAS = (1, 16, 64, 256, 1024, 4096)
 ROUNDS = 5
 SECONDS = 0.6
-TRAIN_STEPS = 400_000
+TRAIN_STEPS = {"fast": 400_000, "paper": 20_000}
 MEMORY_AREAS = 1024
+_OTHERS = ("mlagents_envs", "official", "limit")
 MEMORY_STEPS = {"1e6": 10**6, "1e7": 10**7}
 
 # A client in a process of its own: for every line it reads, it plays so many seconds and prints exchanges a second.
@@ -146,7 +149,10 @@ def run_bench(json_file: Path | None, plot: Path | None, official: str | None, p
 
 
 def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
-    """Agent steps a second for each client, and round trips a second for an echo of the same payloads."""
+    """Agent steps a second for each client, and round trips a second for an echo of the same payloads.
+
+    ``limit`` is the player against a trainer that answers at once, without reading: what no Python client can beat.
+    """
     player = launch_path(place(BUILTIN, 0)[0] or "")
     with ExitStack() as stack:
         environment, _ = stack.enter_context(_our_client(areas, port))
@@ -159,18 +165,13 @@ def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
             stack.callback(child.close)
             measures[name] = child.rate
         measures["echo"] = stack.enter_context(_echo(areas))
+        measures["limit"] = stack.enter_context(_limit(areas, port + 3))
         rates: dict[str, list[float]] = {name: [] for name in measures}
         for _ in range(ROUNDS):
             for name, measure in measures.items():
                 rates[name].append(measure())
     medians = {name: statistics.median(values) for name, values in rates.items()}
-    row: dict[str, Any] = {
-        "areas": areas,
-        "ours": None,
-        "mlagents_envs": None,
-        "official": None,
-        "echo": medians["echo"],
-    }
+    row: dict[str, Any] = {"areas": areas, "ours": None, **dict.fromkeys(_OTHERS), "echo": medians["echo"]}
     return row | {name: rate * areas for name, rate in medians.items() if name != "echo"}
 
 
@@ -213,16 +214,72 @@ def _echo(areas: int) -> Iterator[Any]:
     rows = columnar.AgentRows(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
     request = len(columnar.write_output(BEHAVIOR, "VectorSensor_size13", rows, b""))
     reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
-    server = grpc.server(ThreadPoolExecutor(max_workers=2))
-    handler = grpc.unary_unary_rpc_method_handler(lambda data, context: reply)
-    server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": handler})])
-    port = server.add_insecure_port("localhost:0")
-    server.start()
+    server, port = _serve(lambda data, context: reply, 0)
     child = _Child(sys.executable, _ECHO, port, request, EXCHANGE)
     try:
         yield child.rate
     finally:
         child.close()
+        server.stop(grace=None)
+
+
+def _serve(answer: Any, port: int) -> tuple[grpc.Server, int]:
+    """A bare gRPC server on the port, or on any free one for 0, and its port."""
+    server = grpc.server(ThreadPoolExecutor(max_workers=2))
+    handler = grpc.unary_unary_rpc_method_handler(answer)
+    server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": handler})])
+    port = server.add_insecure_port(f"localhost:{port}")
+    server.start()
+    return server, port
+
+
+class _InstantTrainer:
+    """Leads a player through the handshake, then answers each batch with the same STEP while a measurement runs."""
+
+    def __init__(self, areas: int) -> None:
+        hello, reset, stop = UnityMessageProto(), UnityMessageProto(), UnityMessageProto()
+        hello.header.status = reset.header.status = OK
+        start = hello.unity_input.rl_initialization_input
+        start.seed, start.num_areas, start.communication_version = 1, areas, API_VERSION
+        reset.unity_input.rl_input.command = RESET
+        stop.header.status = STOP
+        self._opening: list[bytes] = [hello.SerializeToString(), reset.SerializeToString()]
+        self._step = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
+        self._stop: bytes = stop.SerializeToString()
+        self._measuring, self._ended = threading.Event(), False
+        self._exchanges = 0
+
+    def answer(self, request: bytes, context: grpc.ServicerContext) -> bytes:
+        if self._opening:
+            return self._opening.pop(0)
+        self._measuring.wait()
+        self._exchanges += 1
+        return self._stop if self._ended else self._step
+
+    def rate(self) -> float:
+        before, begun = self._exchanges, time.perf_counter()
+        self._measuring.set()
+        time.sleep(SECONDS)
+        self._measuring.clear()
+        return (self._exchanges - before) / (time.perf_counter() - begun)
+
+    def close(self) -> None:
+        self._ended = True
+        self._measuring.set()
+
+
+@contextmanager
+def _limit(areas: int, port: int) -> Iterator[Any]:
+    """A player, as a process, that waits for an answer only as long as gRPC takes to bring it."""
+    trainer = _InstantTrainer(areas)
+    server, port = _serve(trainer.answer, port)
+    command = [launch_path(place(BUILTIN, 0)[0] or ""), "--mlagents-port", str(port)]
+    player = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield trainer.rate
+    finally:
+        trainer.close()
+        player.wait(20)
         server.stop(grace=None)
 
 
@@ -242,27 +299,21 @@ def _world(areas: int) -> float:
 
 
 def _training(port: int) -> list[dict[str, Any]]:
-    rates: dict[float, list[float]] = {0.3: [], 0.0: []}
+    rates: dict[tuple[str, float], list[float]] = {("fast", 0.3): [], ("fast", 0.0): [], ("paper", 0.3): []}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(2):
-            for c, found in rates.items():
-                run_id = f"c{c}-{number}"
+            for (preset, c), found in rates.items():
+                run_id = f"{preset}-c{c}-{number}"
                 command = [sys.executable, "-m", "trainer.main", "train", "--run-id", run_id, "--results-dir", folder]
-                command += [
-                    "--c",
-                    str(c),
-                    "--steps",
-                    str(TRAIN_STEPS),
-                    "--base-port",
-                    str(port),
-                    "--eval-episodes",
-                    "1",
-                ]
+                command += ["--preset", preset, "--c", str(c), "--steps", str(TRAIN_STEPS[preset])]
+                command += ["--base-port", str(port), "--eval-episodes", "1"]
                 run = subprocess.run(command, capture_output=True, text=True)
                 if run.returncode:
                     raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
                 found.append(json.loads((Path(folder) / run_id / "summary.json").read_text())["steps_per_second"])
-    return [{"c": c, "preset": "fast", "steps_per_second": statistics.median(found)} for c, found in rates.items()]
+    return [
+        {"c": c, "preset": preset, "steps_per_second": statistics.median(found)} for (preset, c), found in rates.items()
+    ]
 
 
 def _startup() -> dict[str, float]:
@@ -314,19 +365,15 @@ def _machine() -> dict[str, Any]:
 
 
 def _print(report: dict[str, Any], console: Console) -> None:
-    table = Table(
-        "areas", "ours", "mlagents_envs", "official", "echo", "ours / 0.28.0", "ours / official", "ours / echo"
-    )
+    table = Table("areas", "ours", "0.28.0", "official", "limit", "echo", box=None)
     for row in report["exchange"]:
-        ratio = {name: row["ours"] / row[name] if row[name] else None for name in ("mlagents_envs", "official")}
-        cells = [row["ours"], row["mlagents_envs"], row["official"], row["echo"]]
-        table.add_row(
-            f"{row['areas']:,}",
-            *("-" if cell is None else f"{cell:,.0f}" for cell in cells),
-            *("-" if each is None else f"{each:.1f}" for each in ratio.values()),
-            f"{row['ours'] / row['areas'] / row['echo']:.0%}",
-        )
-    console.print("Exchange, agent steps a second (echo: bare round trips a second with the same payloads):")
+        clients = [f"{row[name]:,.0f} ({row['ours'] / row[name]:.1f})" if row[name] else "-" for name in _OTHERS]
+        part = row["ours"] / row["areas"] / row["echo"]
+        table.add_row(f"{row['areas']:,}", f"{row['ours']:,.0f}", *clients, f"{row['echo']:,.0f} ({part:.0%})")
+    console.print(
+        "Exchange, agent steps a second (in brackets: how many times as fast ours is). limit: the player against a "
+        "trainer that answers at once, unread. echo: bare round trips a second with as many bytes (ours: exchanges)."
+    )
     console.print(table)
     for row in report["world"]:
         console.print(f"world in process, {row['areas']:>5,} areas: {row['steps_per_second']:>12,.0f} steps/s")
