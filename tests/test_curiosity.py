@@ -122,6 +122,17 @@ def test_adam_is_torchs():
         assert ours.parameters == pytest.approx(weights.detach().numpy(), rel=1e-5)
 
 
+def test_the_encoder_learns_at_its_own_rate():
+    """Adam's first step is the rate itself, whatever the gradient's size."""
+    icm, rng = module(3, learning_rate=1e-3, encoder_rate=0.1), np.random.default_rng(0)
+    before = icm.adam.parameters.copy()
+    s, s_next = rng.normal(size=(2, 32, 3)).astype(np.float32)
+    icm.learn(s, rng.normal(size=(32, 2)).astype(np.float32), s_next)
+    moved = np.abs(icm.adam.parameters - before)
+    assert np.median(moved[: icm.encoder.size]) == pytest.approx(1e-4, rel=0.02)
+    assert np.median(moved[icm.encoder.size :]) == pytest.approx(1e-3, rel=0.02)
+
+
 def test_the_reward_is_c_times_scale_times_r_i_on_top_of_the_extrinsic():
     weak, strong = (Curiosity(Counting(), CuriosityConfig(c=c, scale=0.5), 100, seed=0) for c in (0.1, 0.4))
     actions = np.zeros((2, 2), np.float32)

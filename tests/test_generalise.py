@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from corridor_server.config import CorridorConfig
-from trainer.config import preset_run
+from trainer.config import CORRIDOR, preset_run
 from trainer.main import main
 from trainer.results import RunFolder
 from trainer.studies.generalise import Change, nearest, panels, play
@@ -36,9 +36,10 @@ def test_a_single_opponent_is_shown_as_it_is():
     assert (nearest(observations) == observations).all()
 
 
-def test_changes_are_relative_to_the_default_corridor():
+def test_changes_are_relative_to_the_presets_corridor():
     default = CorridorConfig()
-    assert change("Start of the learner", "", "-2") == {"agent_spawn_x_min": -6.0, "agent_spawn_x_max": -4.0}
+    low, high = CORRIDOR["agent_spawn_x_min"] - 2, CORRIDOR["agent_spawn_x_max"] - 2
+    assert change("Start of the learner", "", "-2") == {"agent_spawn_x_min": low, "agent_spawn_x_max": high}
     moved = change("Place of the switch", "x-1", "+4")
     assert moved == {"switch_x": default.switch_x + 4, "switch_z": -default.switch_z}
 

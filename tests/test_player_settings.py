@@ -1,10 +1,11 @@
 """Engine settings and environment parameters, from a YAML file and from the command line."""
 
+import numpy as np
 import pytest
 
 from corridor_server.parameters import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.side_channels import read_engine_setting, read_environment_parameter
-from trainer.config import EngineConfig
+from trainer.config import CORRIDOR, EngineConfig
 from trainer.errors import TrainerError
 from trainer.main import Train, main
 from trainer.player_settings import channels
@@ -47,7 +48,7 @@ def test_the_defaults_are_those_of_mlagents_learn():
         "target frame rate -1",
         "capture frame rate 60",
     ]
-    assert parameters == {"failure_penalty": 1.0}
+    assert parameters == {"failure_penalty": 1.0} | {name: np.float32(value) for name, value in CORRIDOR.items()}
 
 
 def test_a_file_and_the_command_line_which_wins(tmp_path):

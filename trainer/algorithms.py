@@ -42,7 +42,7 @@ def build_algorithm(config: RunConfig, env: VecEnv) -> BaseAlgorithm:
     on_policy = common | {
         "n_steps": steps_per_update(config),
         "gae_lambda": ppo.gae_lambda,
-        "policy_kwargs": {"net_arch": {"pi": sizes, "vf": sizes}},
+        "policy_kwargs": {"net_arch": {"pi": sizes, "vf": sizes}, "log_std_init": ppo.log_std_init},
     }
     gradient: dict[str, Any] = {"ent_coef": ppo.ent_coef, "vf_coef": ppo.vf_coef, "max_grad_norm": ppo.max_grad_norm}
     if isinstance(other, A2CConfig):

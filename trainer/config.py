@@ -29,14 +29,15 @@ class PPOConfig:
         vf_coef: Weight of the value loss.
         max_grad_norm: Limit of the gradient's norm.
         hidden_size: Units in each of the two hidden layers of actor and critic, which share none.
+        log_std_init: Logarithm of the actions' standard deviation at the beginning.
     """
 
     n_steps: int = 16
     minibatches: int = 4
     epochs: int = 4
-    learning_rate: float = 2.5e-4
+    learning_rate: float = 5e-4
     anneal: bool = True
-    gamma: float = 0.998
+    gamma: float = 0.97
     gae_lambda: float = 0.95
     clip_range: float = 0.2
     clip_range_vf: float = 0.2
@@ -44,6 +45,7 @@ class PPOConfig:
     vf_coef: float = 0.5
     max_grad_norm: float = 0.5
     hidden_size: int = 64
+    log_std_init: float = -0.5
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,8 @@ class CuriosityConfig:
         feature_size: Size of the encoding phi.
         hidden_size: Units in the hidden layer of each network.
         learning_rate: Adam's.
+        encoder_rate: The encoder's part of it. A slow encoder keeps what the inverse model has no use for, such as the
+            switch, in its features for longer.
         minibatches: Gradient steps per update; each transition is used once.
         forward_weight: Share of the forward model's loss; the inverse model has the rest.
         intrinsic: ``icm``, the module of Fig. 2, or ``rnd``, random network distillation (ref. [14]).
@@ -114,13 +118,14 @@ class CuriosityConfig:
     """
 
     c: float = 0.3
-    scale: float = 0.2
-    feature_size: int = 16
-    hidden_size: int = 64
+    scale: float = 1.7
+    feature_size: int = 64
+    hidden_size: int = 128
     learning_rate: float = 1e-3
+    encoder_rate: float = 0.01
     minibatches: int = 4
     forward_weight: float = 0.2
-    next_state: Literal["terminal", "reset"] = "terminal"
+    next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
     rnd_scale: float = 0.1
 
@@ -239,24 +244,44 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class Preset:
-    """A way to train: how many areas, over which path, with which hyperparameters."""
+    """A way to train: how many areas, over which path, with which hyperparameters, in which corridor.
+
+    Attributes:
+        environment_parameters: What the corridor has other than its defaults; a run's own settings come on top.
+    """
 
     num_areas: int
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
+    environment_parameters: dict[str, Any]
 
 
+# The corridor on which curiosity decides between failure and success, and why these numbers: docs/calibration.md.
+CORRIDOR: dict[str, Any] = {
+    "agent_speed": 3.0,
+    "agent_time_constant": 0.2,
+    "agent_spawn_x_min": -7.5,
+    "agent_spawn_x_max": -5.5,
+    "goal_x": 5.0,
+    "goal_radius": 2.0,
+    "opponent_target_x": 1.0,
+}
 PRESETS: dict[PresetName, Preset] = {
-    # Small, frequent updates find the goal before the failure penalty teaches hiding, and a discount factor near 1
-    # makes putting failure off worth less; a rate that falls to 0 keeps what was learned (docs/calibration.md).
-    "fast": Preset(num_areas=64, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # One area, and the defaults of the Stable Baselines release that the paper used.
+    "fast": Preset(
+        num_areas=64,
+        through_gym=False,
+        ppo=PPOConfig(),
+        curiosity=CuriosityConfig(),
+        environment_parameters=CORRIDOR,
+    ),
+    # One area and 128 steps an update, as the Stable Baselines release that the paper used.
     "paper": Preset(
         num_areas=1,
         through_gym=True,
-        ppo=PPOConfig(n_steps=128, anneal=False, gamma=0.99, ent_coef=0.01),
+        ppo=PPOConfig(n_steps=128),
         curiosity=CuriosityConfig(),
+        environment_parameters=CORRIDOR,
     ),
 }
 
@@ -273,10 +298,13 @@ def preset_run(
     penalty: float = 1.0,
     num_areas: int | None = None,
     intrinsic: Intrinsic = "icm",
+    environment_parameters: dict[str, Any] | None = None,
     **others: Any,
 ) -> RunConfig:
-    """A run with a preset's hyperparameters; ``num_areas`` is the preset's if not given, others are RunConfig's."""
+    """A run with a preset's hyperparameters and corridor, but for what is given; others are RunConfig's."""
     chosen = PRESETS[preset]
+    given = environment_parameters or {}
+    corridor = {name: value for name, value in chosen.environment_parameters.items() if name not in given}
     return RunConfig(
         run_id=run_id,
         env=env,
@@ -290,5 +318,6 @@ def preset_run(
         ppo=chosen.ppo,
         curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
         other=OTHERS[algo]() if algo in OTHERS else None,
+        environment_parameters={**corridor, **given},
         **others,
     )

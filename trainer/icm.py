@@ -42,7 +42,9 @@ class IntrinsicCuriosityModule:
         self.forward_model = Network(self._features + action_size, hidden, self._features)
         self.adam = joined((self.encoder, self.inverse_model, self.forward_model), generator)
         self.scale = config.scale
-        self._forward_weight, self._rate = np.float32(config.forward_weight), config.learning_rate
+        self._forward_weight = np.float32(config.forward_weight)
+        self._rates = np.full(self.adam.parameters.size, config.learning_rate, np.float32)
+        self._rates[: self.encoder.size] *= np.float32(config.encoder_rate)
 
     def intrinsic_reward(self, observations: Floats, actions: Floats, next_observations: Floats) -> Floats:
         """r_i of eq. 6, (n,): half the squared distance between predicted and actual features.
@@ -89,7 +91,7 @@ class IntrinsicCuriosityModule:
     def learn(self, observations: Floats, actions: Floats, next_observations: Floats) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``forward_loss`` and ``inverse_loss``."""
         forward_loss, inverse_loss = self.differentiate(observations, actions, next_observations)
-        self.adam.descend(self._rate)
+        self.adam.descend(self._rates)
         return {"forward_loss": float(forward_loss), "inverse_loss": float(inverse_loss)}
 
     def _inputs(self, actions: Floats) -> Floats:

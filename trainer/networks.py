@@ -28,8 +28,8 @@ class Adam:
         self.parameters, self.gradient, self.moment, self.square = (np.zeros(size, np.float32) for _ in range(4))
         self.steps = 0
 
-    def descend(self, rate: float, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
-        """Takes one step against the gradient, as ``torch.optim.Adam`` does."""
+    def descend(self, rate: float | Floats, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
+        """Takes one step against the gradient, as ``torch.optim.Adam`` does, at one rate or each parameter's own."""
         self.steps += 1
         beta1, beta2 = betas
         self.moment += (self.gradient - self.moment) * np.float32(1.0 - beta1)
@@ -38,7 +38,7 @@ class Adam:
         denominator = np.sqrt(self.square)
         denominator *= np.float32(1.0 / math.sqrt(1.0 - beta2**self.steps))
         denominator += np.float32(epsilon)
-        self.parameters -= self.moment / denominator * np.float32(rate / (1.0 - beta1**self.steps))
+        self.parameters -= self.moment / denominator * np.asarray(rate / (1.0 - beta1**self.steps), np.float32)
 
     def state_dict(self) -> dict[str, Floats]:
         """Everything that it learns and remembers; the arrays are copies."""
