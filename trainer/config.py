@@ -118,9 +118,9 @@ class CuriosityConfig:
     """
 
     c: float = 0.3
-    scale: float = 1.7
-    feature_size: int = 64
-    hidden_size: int = 128
+    scale: float = 6.0
+    feature_size: int = 16
+    hidden_size: int = 64
     learning_rate: float = 1e-3
     encoder_rate: float = 0.01
     minibatches: int = 4
