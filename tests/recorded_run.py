@@ -1,8 +1,9 @@
 """A run's folder as tests need it: settings of today, and the recorded evaluation of a real trained run.
 
-``golden/trajectories.npz`` (12 episodes) and ``golden/progress.csv`` are of ``corridor train --run-id fast``.
+``golden/trajectories.npz`` (12 episodes) and ``golden/progress.csv`` are of a run named ``fast`` in the default corridor.
 """
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -13,7 +14,8 @@ GOLDEN = Path(__file__).parent / "golden"
 
 
 def recorded_run(results: Path, run_id: str = "fast", env: str = "builtin", evaluated: bool = True) -> RunFolder:
-    folder = RunFolder.prepare(Train(run_id=run_id, env=env).run_config(), results, resume=False, force=False)
+    config = dataclasses.replace(Train(run_id=run_id, env=env).run_config(), environment_parameters={})
+    folder = RunFolder.prepare(config, results, resume=False, force=False)
     shutil.copy(GOLDEN / "progress.csv", folder.progress)
     if evaluated:
         shutil.copy(GOLDEN / "trajectories.npz", folder.trajectories)

@@ -127,7 +127,7 @@ class CuriosityConfig:
     forward_weight: float = 0.2
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
-    rnd_scale: float = 0.1
+    rnd_scale: float = 3.0
 
 
 OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
