@@ -15,16 +15,15 @@ import numpy as np
 import pytest
 from conftest import BIN, CHROMIUM, CHROMIUM_FLAGS, DESKTOP, Open
 from PIL import Image
-from recorded_run import GOLDEN, recorded_run
+from recorded_run import GOLDEN, recorded_run, settings
 
 from trainer.html import PAGE, page
-from trainer.main import Train
 from trainer.scene import run_scene
 from trainer.trajectories import load_trajectories
 from trainer.watch import PageServer
 
 PHONE = {"width": 390, "height": 844}
-CONFIG = Train(run_id="fast").run_config()
+CONFIG = settings()
 # Baselines are compared at a quarter of their size; text is drawn differently from machine to machine.
 CHANNEL_TOLERANCE, SHARE_TOLERANCE = 30, 0.02
 VIEW_TOLERANCE = 0.002  # of a view alone, which has hardly any text

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_run import GOLDEN, recorded_run
+from recorded_run import GOLDEN, recorded_run, settings
 
 from corridor_server.config import CorridorConfig
 from corridor_server.gym_env import CorridorEnv
@@ -19,7 +19,7 @@ from trainer.player_settings import corridor_of
 from trainer.scene import FOREIGN, choose, episode_record, run_scene
 from trainer.trajectories import Trajectories, load_trajectories, save_trajectories
 
-CONFIG = Train(run_id="fast").run_config()
+CONFIG = settings()
 
 
 def table(record: dict) -> dict[str, np.ndarray]:
@@ -201,4 +201,4 @@ def test_a_runs_corridor_is_what_its_player_was_told():
     assert told.switch_radius == float(np.float32(0.1))
     assert told.agent_spawn_x == (-8.0, -8.0)
     assert told.opponent_spawn_x == (6.0, CorridorConfig().opponent_spawn_x[1])
-    assert (told.agent_speed, told.failure_penalty) == (CorridorConfig().agent_speed, 0.5)
+    assert (told.agent_speed, told.failure_penalty, told.near_distance) == (3.0, 0.5, CorridorConfig().near_distance)
