@@ -1,6 +1,6 @@
 """A run's folder as tests need it: settings of today, and the recorded evaluation of a real trained run.
 
-``golden/trajectories.npz`` (12 episodes) and ``golden/progress.csv`` are of a run ``fast`` in the player's default corridor.
+``golden/trajectories.npz`` (12 episodes) and ``golden/progress.csv`` are of a run in the player's default corridor.
 """
 
 import dataclasses
