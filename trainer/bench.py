@@ -44,6 +44,7 @@ AREAS = (1, 16, 64, 256, 1024, 4096)
 ROUNDS = 5
 SECONDS = 0.6
 TRAIN_STEPS = {"fast": 400_000, "paper": 20_000}
+START_SECONDS = 20
 MEMORY_AREAS = 1024
 _OTHERS = ("mlagents_envs", "official", "limit")
 MEMORY_STEPS = {"1e6": 10**6, "1e7": 10**7}
@@ -246,12 +247,13 @@ class _InstantTrainer:
         self._opening: list[bytes] = [hello.SerializeToString(), reset.SerializeToString()]
         self._step = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
         self._stop: bytes = stop.SerializeToString()
-        self._measuring, self._ended = threading.Event(), False
+        self.ready, self._measuring, self._ended = threading.Event(), threading.Event(), False
         self._exchanges = 0
 
     def answer(self, request: bytes, context: grpc.ServicerContext) -> bytes:
         if self._opening:
             return self._opening.pop(0)
+        self.ready.set()
         self._measuring.wait()
         self._exchanges += 1
         return self._stop if self._ended else self._step
@@ -276,6 +278,8 @@ def _limit(areas: int, port: int) -> Iterator[Any]:
     command = [launch_path(place(BUILTIN, 0)[0] or ""), "--mlagents-port", str(port)]
     player = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
+        if not trainer.ready.wait(START_SECONDS):
+            raise TrainerError(f"{command[0]} sent no batch within {START_SECONDS} s; run it by hand.")
         yield trainer.rate
     finally:
         trainer.close()
