@@ -127,3 +127,9 @@ def test_everything_after_env_args_is_the_players(monkeypatch):
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
     assert seen[0].seed == 3
     assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
+
+
+def test_given_parameters_replace_the_presets():
+    given = Train("r", env_param=("goal_x=7", "agent_spawn_x=-8")).run_config().environment_parameters
+    kept = {name: value for name, value in CORRIDOR.items() if not name.startswith("agent_spawn_x_")}
+    assert given == {**kept, "goal_x": 7.0, "agent_spawn_x": -8.0}

@@ -244,21 +244,17 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class Preset:
-    """A way to train: how many areas, over which path, with which hyperparameters, in which corridor.
-
-    Attributes:
-        environment_parameters: What the corridor has other than its defaults; a run's own settings come on top.
-    """
+    """A way to train: how many areas, over which path, with which hyperparameters."""
 
     num_areas: int
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
-    environment_parameters: dict[str, Any]
 
 
-# The corridor on which curiosity decides between failure and success, and why these numbers: docs/calibration.md.
-CORRIDOR: dict[str, Any] = {
+# The corridor that presets ask a player for, on which curiosity decides between failure and success
+# (docs/calibration.md).
+CORRIDOR: dict[str, float] = {
     "agent_speed": 3.0,
     "agent_time_constant": 0.2,
     "agent_spawn_x_min": -7.5,
@@ -268,21 +264,9 @@ CORRIDOR: dict[str, Any] = {
     "opponent_target_x": 1.0,
 }
 PRESETS: dict[PresetName, Preset] = {
-    "fast": Preset(
-        num_areas=64,
-        through_gym=False,
-        ppo=PPOConfig(),
-        curiosity=CuriosityConfig(),
-        environment_parameters=CORRIDOR,
-    ),
+    "fast": Preset(num_areas=64, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area and 128 steps an update, as the Stable Baselines release that the paper used.
-    "paper": Preset(
-        num_areas=1,
-        through_gym=True,
-        ppo=PPOConfig(n_steps=128),
-        curiosity=CuriosityConfig(),
-        environment_parameters=CORRIDOR,
-    ),
+    "paper": Preset(num_areas=1, through_gym=True, ppo=PPOConfig(n_steps=128), curiosity=CuriosityConfig()),
 }
 
 
@@ -302,9 +286,9 @@ def preset_run(
     **others: Any,
 ) -> RunConfig:
     """A run with a preset's hyperparameters and corridor, but for what is given; others are RunConfig's."""
-    chosen = PRESETS[preset]
-    given = environment_parameters or {}
-    corridor = {name: value for name, value in chosen.environment_parameters.items() if name not in given}
+    chosen, given = PRESETS[preset], environment_parameters or {}
+    both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
+    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
     return RunConfig(
         run_id=run_id,
         env=env,
