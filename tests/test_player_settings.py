@@ -133,3 +133,11 @@ def test_given_parameters_replace_the_presets():
     given = Train("r", env_param=("goal_x=7", "agent_spawn_x=-8")).run_config().environment_parameters
     kept = {name: value for name, value in CORRIDOR.items() if not name.startswith("agent_spawn_x_")}
     assert given == {**kept, "goal_x": 7.0, "agent_spawn_x": -8.0}
+
+
+def test_a_range_that_a_parameter_turns_round():
+    with pytest.raises(TrainerError, match="agent_spawn_x would go from -3 to -5.5 .* give both agent_spawn_x_min and"):
+        Train("r", env_param=("agent_spawn_x_min=-3",)).run_config()
+    with pytest.raises(TrainerError, match="opponent_spawn_x would go from 7 to 6 "):
+        Train("r", env_param=("opponent_spawn_x_max=6",)).run_config()
+    Train("r", env_param=("agent_spawn_x_min=-3",), env="Other.x86_64").run_config()  # may mean something else there

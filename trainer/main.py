@@ -27,7 +27,7 @@ from trainer.config import (
     preset_run,
 )
 from trainer.errors import TrainerError
-from trainer.player_settings import engine_config, environment_parameters, read_settings
+from trainer.player_settings import check_ranges, engine_config, environment_parameters, read_settings
 from trainer.results import RunFolder
 from trainer.signals import interrupt_on_every_signal
 
@@ -136,7 +136,7 @@ class Train:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
         engine, parameters = read_settings(self.config)
         given = {name: value for name in EngineConfig.RANGES if (value := getattr(self, name)) is not None}
-        return preset_run(
+        config = preset_run(
             self.run_id,
             self.preset,
             c=self.c,
@@ -152,6 +152,9 @@ class Train:
             engine=engine_config({**engine, **given}),
             environment_parameters=environment_parameters(self.env_param, parameters, self.env == "builtin"),
         )
+        if self.env == "builtin":
+            check_ranges(config.environment_parameters)
+        return config
 
     def restart_limits(self) -> RestartLimits:
         """How often players may be started again.

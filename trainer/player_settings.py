@@ -139,28 +139,44 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     return [engine, parameters]
 
 
+def check_ranges(parameters: Mapping[str, Any]) -> None:
+    """Refuses a range of our corridor that a parameter has turned round.
+
+    Raises:
+        TrainerError: A range begins above its end.
+    """
+    for name, (low, high) in _ranges(parameters).items():
+        if low > high:
+            raise TrainerError(
+                f"{name} would go from {low:g} to {high:g} (the end not given is the preset's or the corridor's), "
+                f"but the smaller number was expected first; give both {name}_min and {name}_max, or {name} alone."
+            )
+
+
 def corridor_of(config: RunConfig) -> CorridorConfig:
     """The corridor that a run's built-in player makes, as far as it is the same in every episode."""
     values = asdict(CorridorConfig())
-    ends: dict[str, dict[str, float]] = {
-        name: {"min": value[0], "max": value[1]} for name, value in values.items() if isinstance(value, tuple)
-    }
-    for name, value in {PENALTY: config.penalty, **config.environment_parameters}.items():
-        if not isinstance(value, int | float):
-            continue
-        sent = float(np.float32(value))  # the side channel carries float32
-        of, _, end = name.rpartition("_")
-        if name in ends:
-            ends[name] = {"min": sent, "max": sent}
-        elif of in ends and end in ends[of]:
-            ends[of][end] = sent
-        elif name in values:
-            values[name] = sent
-    ranges = {name: (range_["min"], range_["max"]) for name, range_ in ends.items()}
+    given = {PENALTY: config.penalty, **config.environment_parameters}
+    sent = {name: float(np.float32(value)) for name, value in given.items() if isinstance(value, int | float)}
+    values |= {name: value for name, value in sent.items() if name in values} | _ranges(sent)
     try:
-        return CorridorConfig.from_mapping({**values, **ranges})
+        return CorridorConfig.from_mapping(values)
     except ValueError:  # another player's parameter of the same name
         return CorridorConfig()
+
+
+def _ranges(parameters: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The corridor's ranges with the ends that parameters give: the later of NAME and NAME_min counts."""
+    ends = {name: list(value) for name, value in asdict(CorridorConfig()).items() if isinstance(value, tuple)}
+    for name, value in parameters.items():
+        of, _, end = name.rpartition("_")
+        if not isinstance(value, int | float):
+            continue
+        if name in ends:
+            ends[name] = [value, value]
+        elif of in ends and end in ("min", "max"):
+            ends[of][("min", "max").index(end)] = value
+    return {name: (low, high) for name, (low, high) in ends.items()}
 
 
 def _parse(name: str, value: Any, seed: int) -> Value:
