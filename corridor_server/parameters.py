@@ -81,6 +81,7 @@ class EpisodeParameters:
         self.columns["velocity_decay"] = np.zeros(len(areas))
         self._areas = areas
         self._values: dict[str, Value] = {}
+        self._behind = np.zeros(len(areas), np.bool_)  # areas that have no episode yet with what was last set
         self.streams: dict[str, Streams] = {}
         for row in range(len(areas)):
             self._derive(row)
@@ -108,14 +109,16 @@ class EpisodeParameters:
         if self._values.get(name) == value:
             return False
         self._values[name] = value
+        self._behind[:] = True
         if not isinstance(value, float):
             self.streams[name] = Streams(value.seed, self._areas)
         return True
 
     def draw(self, row: int) -> None:
         """Gives the area in this row its parameters for a new episode."""
-        if not self._values:
+        if not self.streams and not self._behind[row]:
             return
+        self._behind[row] = False
         for name, value in self._values.items():
             low, high = SETTABLE[name]
             drawn = value if isinstance(value, float) else value.sample(self.streams[name][row])
