@@ -2,8 +2,11 @@
 
 python tests/faults/campaign.py kills --times 200 --steps 1500000     # SIGKILL and --resume, against an uncut run
 python tests/faults/campaign.py signals --times 20                    # SIGINT, SIGTERM, SIGHUP, and --resume
-python tests/faults/campaign.py players --times 20                    # SIGKILL and SIGSTOP of the player
-python tests/faults/campaign.py disk --times 20                       # a full disk (root only), and --resume
+python tests/faults/campaign.py players --times 20                    # SIGKILL, SIGSTOP, a cut connection (root)
+python tests/faults/campaign.py disk --times 20                       # a full disk (root), and --resume
+python tests/faults/campaign.py readonly --times 20                   # a folder made read-only (root), and --resume
+
+Where there are several faults in a line, each is done so many times.
 """
 
 import argparse
@@ -15,13 +18,17 @@ import tempfile
 import time
 from pathlib import Path
 
-from harness import Run, hurt_player, mount_small, stop_with, train_with_kills
+from harness import Run, close_folder, cut_connection, hurt_player, mount_small, send, stop_with, train_with_kills
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PLAYER_FAULTS = (send(signal.SIGKILL), send(signal.SIGSTOP), cut_connection)
+KINDS = {"kills": 1, "signals": len(SIGNALS), "players": len(PLAYER_FAULTS), "disk": 1, "readonly": 1}
 
 
 def main() -> None:
     """Runs one campaign, and says how it went."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["kills", "signals", "players", "disk"])
+    parser.add_argument("what", choices=list(KINDS))
     parser.add_argument("--times", type=int, default=20)
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--base-port", type=int, default=6400)
@@ -38,9 +45,10 @@ def main() -> None:
             run.equals(uncut)
             print(f"{len(moments)} kills, at steps {moments}; resumes counted: {run.summary()['resumes']}")
         else:
-            for time_number in range(options.times):
-                once(options.what, results, uncut, options.steps, options.base_port, generator, time_number)
-                print(f"{options.what} {time_number + 1}/{options.times}: as promised", flush=True)
+            times = options.times * KINDS[options.what]
+            for number in range(times):
+                once(options.what, results, uncut, options.steps, options.base_port, generator, number)
+                print(f"{options.what} {number + 1}/{times}: as promised", flush=True)
     print(f"{options.what}: all as promised; {time.monotonic() - began:.0f} s")
 
 
@@ -50,18 +58,30 @@ def once(what: str, results: Path, uncut: Run, steps: int, port: int, generator:
     settings = ("--steps", steps)
     if what == "signals":
         run = Run(results, f"run-{number}", port, *settings)
-        sent = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[number % 3]
-        assert stop_with(run, sent, moment, delay) == 130, run.output
+        assert stop_with(run, SIGNALS[number % len(SIGNALS)], moment, delay) == 130, run.output
         assert "Traceback" not in run.output
         run.leaves_nothing_behind()
         assert run.finish("--resume") == 0, run.output
         run.equals(uncut)
     elif what == "players":
         run = Run(results, f"run-{number}", port, *settings, "--timeout-wait", 10)
-        sent = (signal.SIGKILL, signal.SIGSTOP)[number % 2]
-        assert hurt_player(run, sent, max(moment, 1), delay) == 0, run.output
+        fault = PLAYER_FAULTS[number % len(PLAYER_FAULTS)]
+        assert hurt_player(run, fault, max(moment, 1), delay) == 0, run.output
         assert run.summary()["player_restarts"] >= 1
         run.leaves_nothing_behind()
+    elif what == "readonly":
+        run = Run(results, f"run-{number}", port, *settings)
+        process = run.start()
+        run.wait_for_steps(process, max(moment, 1))
+        time.sleep(delay)
+        with close_folder(run.folder / "checkpoints") as closed:
+            assert closed, "mounting is not allowed here"
+            assert run.wait(process) == 1, run.output
+        assert "can't be written (Read-only file system)" in run.output
+        assert "Traceback" not in run.output
+        run.leaves_nothing_behind()
+        assert run.finish("--resume") == 0, run.output
+        run.equals(uncut)
     else:
         disk = results / "disk"
         assert mount_small(disk, f"{generator.randint(100, 800)}k"), "a small disk can't be mounted here"

@@ -1,14 +1,17 @@
 """What breaks a training run, and what is looked at afterwards; for tests/test_faults.py and campaign.py."""
 
 import csv
+import ctypes
 import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from trainer.checkpoint import checkpoints, from_bytes
 
 BIN = Path(sys.executable).parent
 TIMING = {"steps_per_second", "wall_seconds"}
+PIDFD_GETFD = 438  # the system call's number, which Python does not wrap
 STARTING_SECONDS = 180.0  # on a machine that does ten other things
 
 
@@ -138,14 +142,47 @@ def stop_with(run: Run, number: signal.Signals, steps: int, seconds: float, *opt
     return run.wait(process)
 
 
-def hurt_player(run: Run, number: signal.Signals, steps: int, seconds: float) -> int:
-    """Starts a run and sends its player a signal a moment after so many steps; returns the trainer's exit code."""
+def hurt_player(run: Run, fault: Callable[[int], None], steps: int, seconds: float) -> int:
+    """Starts a run and does something to its player a moment after so many steps; returns the trainer's exit code."""
     process = run.start()
     run.wait_for_steps(process, steps)
     time.sleep(seconds)
     for player in run.players():
-        os.kill(player, number)
+        fault(player)
     return run.wait(process)
+
+
+def send(number: signal.Signals) -> Callable[[int], None]:
+    """A fault: the player gets a signal."""
+    return lambda player: os.kill(player, number)
+
+
+def cut_connection(player: int) -> None:
+    """A fault: the player lives, its connection does not. Takes the right to reach into another process (root)."""
+    process = os.pidfd_open(player)
+    for each in Path(f"/proc/{player}/fd").iterdir():
+        if not os.readlink(each).startswith("socket:"):
+            continue
+        number = ctypes.CDLL(None, use_errno=True).syscall(PIDFD_GETFD, process, int(each.name), 0)
+        if number < 0:
+            raise OSError(ctypes.get_errno(), "pidfd_getfd")
+        with socket.socket(fileno=number) as connection:
+            if connection.family in (socket.AF_INET, socket.AF_INET6):
+                connection.shutdown(socket.SHUT_RDWR)
+    os.close(process)
+
+
+@contextmanager
+def close_folder(folder: Path) -> Iterator[bool]:
+    """Makes a folder read-only for a while; gives False where that is not allowed (it takes root)."""
+    if subprocess.run(["mount", "--bind", str(folder), str(folder)], capture_output=True).returncode:
+        yield False
+        return
+    try:
+        subprocess.run(["mount", "-o", "remount,bind,ro", str(folder)], check=True)
+        yield True
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def _wait_for(condition: Callable[[], bool]) -> None:
