@@ -37,7 +37,7 @@ class PPOConfig:
     epochs: int = 4
     learning_rate: float = 5e-4
     anneal: bool = True
-    gamma: float = 0.97
+    gamma: float = 0.96
     gae_lambda: float = 0.95
     clip_range: float = 0.2
     clip_range_vf: float = 0.2
@@ -118,7 +118,7 @@ class CuriosityConfig:
     """
 
     c: float = 0.3
-    scale: float = 6.0
+    scale: float = 4.0
     feature_size: int = 16
     hidden_size: int = 64
     learning_rate: float = 1e-3
@@ -127,7 +127,7 @@ class CuriosityConfig:
     forward_weight: float = 0.2
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
-    rnd_scale: float = 3.0
+    rnd_scale: float = 2.4
 
 
 OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
@@ -261,6 +261,7 @@ CORRIDOR: dict[str, float] = {
     "agent_spawn_x_max": -5.5,
     "goal_x": 5.0,
     "goal_radius": 2.0,
+    "opponent_speed": 1.5,
     "opponent_target_x": 1.0,
 }
 PRESETS: dict[PresetName, Preset] = {

@@ -177,7 +177,7 @@ _BY_GAMMA = {
                 gamma,
             ),
         )
-        for gamma in (0.95, 0.97, 0.98, 0.99)
+        for gamma in (0.95, 0.96, 0.97, 0.99)
     )
     for c, label in ((0.3, "c = 0.3"), (0.0, "base PPO"))
     for penalty in (1.0, 0.0)
