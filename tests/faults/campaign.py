@@ -5,6 +5,7 @@ python tests/faults/campaign.py signals --times 20                    # SIGINT, 
 python tests/faults/campaign.py players --times 20                    # SIGKILL, SIGSTOP, a cut connection (root)
 python tests/faults/campaign.py disk --times 20                       # a full disk (root), and --resume
 python tests/faults/campaign.py readonly --times 20                   # a folder made read-only (root), and --resume
+python tests/faults/campaign.py often --seconds 20 --steps 1500000    # SIGKILL of the player, again and again
 
 Where there are several faults in a line, each is done so many times.
 """
@@ -18,11 +19,22 @@ import tempfile
 import time
 from pathlib import Path
 
-from harness import Run, close_folder, cut_connection, hurt_player, mount_small, send, stop_with, train_with_kills
+from harness import (
+    Run,
+    close_folder,
+    cut_connection,
+    hurt_player,
+    kill_players_every,
+    mount_small,
+    send,
+    stop_with,
+    train_with_kills,
+)
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+NO_LIMITS = ("--max-lifetime-restarts", -1, "--restarts-rate-limit-n", -1)
 PLAYER_FAULTS = (send(signal.SIGKILL), send(signal.SIGSTOP), cut_connection)
-KINDS = {"kills": 1, "signals": len(SIGNALS), "players": len(PLAYER_FAULTS), "disk": 1, "readonly": 1}
+KINDS = {"kills": 1, "often": 1, "signals": len(SIGNALS), "players": len(PLAYER_FAULTS), "disk": 1, "readonly": 1}
 
 
 def main() -> None:
@@ -31,6 +43,7 @@ def main() -> None:
     parser.add_argument("what", choices=list(KINDS))
     parser.add_argument("--times", type=int, default=20)
     parser.add_argument("--steps", type=int, default=60_000)
+    parser.add_argument("--seconds", type=float, default=20.0, help="between two kills of often")
     parser.add_argument("--base-port", type=int, default=6400)
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     options = parser.parse_args()
@@ -44,6 +57,12 @@ def main() -> None:
             moments = train_with_kills(run, options.times, options.steps, generator)
             run.equals(uncut)
             print(f"{len(moments)} kills, at steps {moments}; resumes counted: {run.summary()['resumes']}")
+        elif options.what == "often":
+            run = Run(results, "often", options.base_port, "--steps", options.steps, *NO_LIMITS)
+            assert kill_players_every(options.seconds, run) == 0, run.output
+            run.leaves_nothing_behind()
+            successes = [each.summary()["evaluation"]["success_rate"] for each in (run, uncut)]
+            print(f"success {successes[0]}, without kills {successes[1]}; restarts {run.summary()['player_restarts']}")
         else:
             times = options.times * KINDS[options.what]
             for number in range(times):

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +149,18 @@ def hurt_player(run: Run, fault: Callable[[int], None], steps: int, seconds: flo
     time.sleep(seconds)
     for player in run.players():
         fault(player)
+    return run.wait(process)
+
+
+def kill_players_every(seconds: float, run: Run) -> int:
+    """Starts a run and kills its players again and again; returns the trainer's exit code."""
+    process = run.start()
+    run.wait_for_steps(process, 1)
+    while process.poll() is None:
+        for player in run.players():
+            os.kill(player, signal.SIGKILL)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
     return run.wait(process)
 
 
