@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trainer.config import Algorithm, Intrinsic, PresetName, RunConfig, preset_run
+from trainer.config import Algorithm, Intrinsic, PPOConfig, PresetName, RunConfig, preset_run
 
 
 @dataclass(frozen=True)
@@ -165,28 +165,31 @@ ALGORITHMS = Study(
 )
 
 _BY_C = (BASE, C01, C03, C05, *(Arm(f"c{c:g}", f"c = {c:g}", c) for c in (0.75, 1.0, 1.5, 2.0)))
-_BY_GAMMA = {
-    f"{label}, {'with' if penalty else 'without'} penalty": tuple(
-        (
-            gamma,
-            Arm(
-                f"c{c:g}-gamma{gamma:g}" + ("" if penalty else "-no-penalty"),
-                f"{label}, gamma = {gamma:g}" + ("" if penalty else ", no penalty"),
-                c,
-                penalty,
-                gamma,
-            ),
-        )
-        for gamma in (0.95, 0.96, 0.97, 0.99)
+
+
+def _with_gamma(base: Arm, gamma: float) -> Arm:
+    if gamma == PPOConfig().gamma:
+        return base
+    c, dash, rest = base.name.partition("-")
+    return dataclasses.replace(
+        base, name=f"{c}-gamma{gamma:g}{dash}{rest}", label=f"{base.label}, gamma = {gamma:g}", gamma=gamma
     )
-    for c, label in ((0.3, "c = 0.3"), (0.0, "base PPO"))
-    for penalty in (1.0, 0.0)
+
+
+_BY_GAMMA = {
+    line: tuple((gamma, _with_gamma(base, gamma)) for gamma in (0.95, 0.96, 0.97, 0.99))
+    for line, base in (
+        ("c = 0.3, with penalty", C03),
+        ("c = 0.3, without penalty", NO_PENALTY),
+        ("base PPO, with penalty", BASE),
+        ("base PPO, without penalty", BASE_NO_PENALTY),
+    )
 }
 
 DOSE_RESPONSE = Study(
     "dose-response",
     "What the claims depend on: the curiosity ratio from 0 to 2, and gamma with and without the penalty",
-    (*_BY_C, *(arm for line in _BY_GAMMA.values() for _, arm in line)),
+    tuple(dict.fromkeys((*_BY_C, *(arm for line in _BY_GAMMA.values() for _, arm in line)))),
     doses=(
         DoseFigure("dose-c", "Curiosity ratio", "c", {"with penalty": tuple((arm.c, arm) for arm in _BY_C)}),
         DoseFigure("dose-gamma", "Discount factor and penalty", "gamma", _BY_GAMMA),
