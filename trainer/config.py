@@ -196,6 +196,7 @@ class RunConfig:
         ppo: Hyperparameters.
         curiosity: Hyperparameters; c = 0 is base PPO without any curiosity module.
         other: Hyperparameters of an algorithm other than PPO.
+        from_sb3: A Stable-Baselines3 ``.zip`` whose policy the run begins with.
         num_envs: Players, stepped concurrently.
         env_args: A launched player's own arguments.
         engine: Unity's engine settings.
@@ -218,6 +219,7 @@ class RunConfig:
     engine: EngineConfig = EngineConfig()
     environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     other: OtherConfig | None = None
+    from_sb3: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""

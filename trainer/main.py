@@ -56,6 +56,7 @@ class Train:
         force: Overwrite an existing run.
         algo: The learning algorithm.
         intrinsic: What curiosity is paid for: icm, or rnd (random network distillation).
+        from_sb3: Begin with the policy of this Stable-Baselines3 .zip instead of a random one.
         penalty: Subtracted from the reward when an episode fails; 0 for the paper's case study B.
         eval_episodes: Episodes of the evaluation at the end.
         config: YAML file with engine_settings and environment_parameters, as mlagents-learn's.
@@ -88,6 +89,7 @@ class Train:
     force: bool = False
     algo: Algorithm = "ppo"
     intrinsic: Intrinsic = "icm"
+    from_sb3: Path | None = None
     penalty: float = 1.0
     eval_episodes: int = 200
     config: Path | None = None
@@ -147,6 +149,7 @@ class Train:
             penalty=self.penalty,
             num_areas=areas,
             intrinsic=self.intrinsic,
+            from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
             num_envs=self.num_envs,
             env_args=list(self.env_args),
             engine=engine_config({**engine, **given}),

@@ -19,10 +19,15 @@ from trainer.player_settings import corridor_of
 from trainer.players import open_player
 from trainer.results import RunFolder
 from trainer.run_state import player_states, policy_sha256
+from trainer.sb3_zip import load_sb3_policy
 from trainer.training import Counters, build_stages, load_trained, train
 from trainer.trajectories import Trajectories, save_trajectories
 from trainer.unity import LOOPBACK, can_be_launched, is_corridor
 
+ONLY_WEIGHTS = (
+    "Warning: of {}, only the policy's weights are used. Its pickled part (settings, optimiser) is not read, and it "
+    "has no observation statistics: normalisation begins anew, so the policy first acts differently."
+)
 # Evaluation plays episodes that training has not seen.
 EVALUATION_SEED_OFFSET = 1_000_000
 
@@ -69,6 +74,9 @@ def train_run(
         ) as (player, behavior):
             folder.record_behavior(behavior_record(behavior, player.behavior_spec))
             stages = build_stages(config, player)
+            if config.from_sb3 is not None and checkpoint is None:
+                load_sb3_policy(Path(config.from_sb3), stages.model)
+                console.print(ONLY_WEIGHTS.format(config.from_sb3), style="yellow", highlight=False, markup=False)
             finished = train(config, folder, stages, counters, checkpoint)
             policy = policy_sha256(stages.model)
             if finished and not can_be_launched(config.env):
