@@ -2,9 +2,9 @@
 
 import io
 import math
-import pickle
 import zipfile
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -34,7 +34,7 @@ def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
                 raise TrainerError(f"{POLICY} in {path} has more than {LIMIT // 2**20} MiB; it is no policy of ours.")
             data = file.read(POLICY)
         weights = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except (OSError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, pickle.UnpicklingError) as error:
+    except (OSError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, UnpicklingError) as error:
         reason = " ".join(str(error).split())[:200]
         raise TrainerError(
             f"{path} is not a model that Stable-Baselines3 saved ({reason}); give what model.save() wrote."
