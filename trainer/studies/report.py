@@ -215,12 +215,14 @@ class Report:
         facts = self.facts
         finished = sum(len(runs) for runs in self.runs.values())
         planned = len(self.study.arms) * len(facts.seeds)
+        first, count = facts.seeds[0], len(facts.seeds)
+        seeds = f"seed {first}" if count == 1 else f"{count} seeds from {first} on"
         return [
             f"# {self.study.title}",
             "",
             f"`{facts.command}`",
             "",
-            f"{finished} of {planned} runs finished: {len(facts.seeds)} seeds from {facts.seeds[0]} on, "
+            f"{finished} of {planned} runs finished: {seeds}, "
             f"{len(self.study.arms)} arms, {facts.steps:,} agent steps a run, preset {facts.preset}. This command "
             f"trained {facts.trained} of them in {_duration(facts.wall_seconds)}; learning took "
             f"{_duration(self._training_seconds())} over all runs.",
