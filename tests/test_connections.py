@@ -4,6 +4,7 @@ import gc
 import os
 import socket
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -70,3 +71,28 @@ def test_sessions_of_real_processes_leave_nothing_behind(free_port):
         environment.close()
     found = subprocess.run(["pgrep", "-f", f"mlagents-port {free_port}"], capture_output=True, text=True)
     assert found.stdout == ""
+
+
+INTERRUPTED_START = """
+import signal, sys
+from grpc import _server
+from trainer.communicator import ExchangeCommunicator
+
+request = _server._request_call
+
+def interrupted(state):
+    request(state)
+    signal.raise_signal(signal.SIGINT)  # gRPC's own server runs by now, but nobody serves it yet
+
+_server._request_call = interrupted
+try:
+    ExchangeCommunicator(0, int(sys.argv[1]), timeout_wait=1)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_a_signal_while_the_trainer_begins_to_listen_ends_it(free_port):
+    command = [sys.executable, "-c", INTERRUPTED_START, str(free_port)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert (run.stdout, run.returncode) == ("interrupted\n", 0), run.stderr

@@ -27,6 +27,7 @@ from mlagents_envs.exception import (
 
 from corridor_server.columnar import HEADER_OK
 from corridor_server.messages import SERVICE, UnityMessageProto
+from trainer.signals import deferred
 
 OK, STOP = 200, 400
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
@@ -60,7 +61,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         self._pool = _DaemonPool(HANDLERS)
         try:
             self._server: grpc.Server | None = self._serve(worker_id, host, base_port + worker_id)
-        except UnityException:
+        except (UnityException, KeyboardInterrupt):
             self._pool.shutdown()
             raise
 
@@ -72,11 +73,12 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         )
         exchange = grpc.unary_unary_rpc_method_handler(self._answer)  # bytes in, bytes out
         server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": exchange})])
-        try:
-            server.add_insecure_port(f"{host}:{port}")
-        except RuntimeError as error:
-            raise UnityWorkerInUseException(worker_id) from error
-        server.start()
+        with deferred():  # a server that is dropped while it starts waits for its own end forever
+            try:
+                server.add_insecure_port(f"{host}:{port}")
+            except RuntimeError as error:
+                raise UnityWorkerInUseException(worker_id) from error
+            server.start()
         return server
 
     def _answer(self, request: bytes, context: grpc.ServicerContext) -> bytes:

@@ -1,6 +1,7 @@
 """Signals that ask a command to stop, and what they must not cut."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -29,6 +30,23 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in former.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Lets a signal wait for what is quickly done: an interrupt in the middle of it would leave it half done."""
+    if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
+        yield
+        return
+    received: list[int] = []
+    former = {number: signal.signal(number, lambda each, _: received.append(each)) for number in heeded()}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+        if received:
+            signal.raise_signal(received[0])
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
