@@ -1,8 +1,8 @@
 """A policy's weights out of a Stable-Baselines3 ``.zip``, without unpickling anything in it."""
 
 import io
-import math
 import zipfile
+import zlib
 from pathlib import Path
 from pickle import UnpicklingError
 
@@ -34,7 +34,16 @@ def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
                 raise TrainerError(f"{POLICY} in {path} has more than {LIMIT // 2**20} MiB; it is no policy of ours.")
             data = file.read(POLICY)
         weights = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except (OSError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, UnpicklingError) as error:
+    except (
+        OSError,
+        LookupError,
+        EOFError,
+        RuntimeError,
+        ValueError,
+        zipfile.BadZipFile,
+        zlib.error,
+        UnpicklingError,
+    ) as error:
         reason = " ".join(str(error).split())[:200]
         raise TrainerError(
             f"{path} is not a model that Stable-Baselines3 saved ({reason}); give what model.save() wrote."
@@ -45,5 +54,5 @@ def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
         reason = " ".join(str(error).split())[:300]
         raise TrainerError(f"{path} is of another policy than this run's: {reason}") from error
     for name, tensor in model.policy.state_dict().items():
-        if not math.isfinite(float(tensor.sum())):
+        if not tensor.isfinite().all():
             raise TrainerError(f"{name} in {path} has numbers that are NaN or infinite; give an earlier save.")
