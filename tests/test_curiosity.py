@@ -166,13 +166,38 @@ def test_an_ended_episodes_info_has_its_curiosity_return():
     assert "curiosity_return" not in infos[0]
 
 
+def test_it_learns_once_the_next_actions_are_sent_and_before_they_are_answered():
+    stage = Curiosity(Counting(), CuriosityConfig(), 4, seed=0)
+    stage.reset()
+    before, actions = stage.module.adam.parameters.copy(), np.zeros((2, 2), np.float32)
+    for _ in range(4):
+        stage.step(actions)
+    assert np.array_equal(stage.module.adam.parameters, before)
+    assert set(stage.metrics) == {"reward"}
+    stage.step_async(actions)
+    assert not np.array_equal(stage.module.adam.parameters, before)
+    assert set(stage.metrics) == {"reward", "forward_loss", "inverse_loss"}
+
+
+def test_what_is_saved_has_learned_from_every_whole_update():
+    early, late = (Curiosity(Counting(), CuriosityConfig(), 4, seed=0) for _ in range(2))
+    actions = np.zeros((2, 2), np.float32)
+    for stage in (early, late):
+        stage.reset()
+        for _ in range(4):
+            stage.step(actions)
+    late.step_async(actions)
+    assert early.facts() == late.facts()
+    assert np.array_equal(early.state_dict()["parameters"], late.state_dict()["parameters"])
+
+
 def test_what_is_seen_again_and_again_stops_being_rewarding():
     stage = Curiosity(Counting(), CuriosityConfig(), 16, seed=0)
     stage.reset()
     rng, means = np.random.default_rng(0), []
-    for _ in range(16 * 60):
+    for step in range(1, 16 * 60 + 1):
         stage.step(rng.uniform(-1, 1, (2, 2)).astype(np.float32) * [[1], [0]])
-        if stage._filled == 0:
+        if step % 16 == 0:
             stage.venv.steps[:] = 0
             means.append(stage.metrics["reward"])
     assert means[-1] < 0.3 * means[0]

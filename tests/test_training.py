@@ -9,17 +9,19 @@ import time
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 import yaml
 from conftest import BIN
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from trainer.errors import TrainerError
 from trainer.main import Train
 from trainer.results import PROGRESS_COLUMNS
-from trainer.training import build_stages
+from trainer.training import Meanwhile, build_stages
 
 TIMING = {"steps_per_second", "wall_seconds"}
 
@@ -220,3 +222,41 @@ def test_curiosity_on_branched_actions_says_what_to_do():
     config = Train("any", num_areas=4).run_config()
     with pytest.raises(TrainerError, match=r"takes Box or Discrete actions.* --c 0"):
         build_stages(config, make_vec_env(Branched, 4))
+
+
+class Telling(DummyVecEnv):
+    """One environment that writes down what it is asked, and refuses NaN."""
+
+    def __init__(self, told: list[str]) -> None:
+        super().__init__([lambda: gymnasium.make("Pendulum-v1")])
+        self.told = told
+
+    def step_async(self, actions):
+        if not np.isfinite(actions).all():
+            raise TrainerError("no number")
+        self.told.append("send")
+        super().step_async(actions)
+
+    def step_wait(self):
+        self.told.append("wait")
+        return super().step_wait()
+
+
+def test_what_was_put_off_is_done_once_while_the_player_moves():
+    told: list[str] = []
+    stage = Meanwhile(Telling(told))
+    stage.reset()
+    stage.put_off(lambda: told.append("save"))
+    for _ in range(2):
+        stage.step(np.zeros((1, 1), np.float32))
+    assert told == ["send", "save", "wait", "send", "wait"]
+
+
+def test_what_was_put_off_is_done_even_if_the_actions_cant_be_sent():
+    told: list[str] = []
+    stage = Meanwhile(Telling(told))
+    stage.reset()
+    stage.put_off(lambda: told.append("save"))
+    with pytest.raises(TrainerError, match="no number"):
+        stage.step(np.full((1, 1), np.nan, np.float32))
+    assert told == ["save"]

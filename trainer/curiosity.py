@@ -18,9 +18,10 @@ from trainer.rnd import RandomNetworkDistillation
 
 
 class Curiosity(VecEnvWrapper):
-    """Adds c x scale x r_i to every reward, and trains the module after every ``update_every`` steps.
+    """Adds c x scale x r_i to every reward, and trains the module on every ``update_every`` steps.
 
-    Monitoring belongs below this stage, so that reported returns stay extrinsic.
+    It learns once the next step's actions are on their way, in the time in which the player moves. Monitoring belongs
+    below this stage, so that reported returns stay extrinsic.
 
     Args:
         venv: Environments with one vector observation, normalised.
@@ -29,7 +30,8 @@ class Curiosity(VecEnvWrapper):
         seed: Seeds the networks' initial weights and the minibatches.
 
     Attributes:
-        metrics: Means over the last update: the module's losses, and ``reward`` (c x scale x r_i); empty before it.
+        metrics: Means of the module's losses over its last update, and of ``reward`` (c x scale x r_i) over the last
+            ``update_every`` steps; each is missing before there is one.
     """
 
     def __init__(self, venv: VecEnv, config: CuriosityConfig, update_every: int, seed: int) -> None:
@@ -57,9 +59,10 @@ class Curiosity(VecEnvWrapper):
         return self._last_observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Remembers the actions and passes them on."""
-        self._actions[self._filled] = actions.reshape(self.num_envs, -1)
+        """Passes the actions on, and learns while the player moves if it is time to."""
         self.venv.step_async(actions)
+        self.learn()
+        self._actions[self._filled] = actions.reshape(self.num_envs, -1)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Adds the intrinsic reward; an ended episode's info has its sum as ``curiosity_return``."""
@@ -83,16 +86,32 @@ class Curiosity(VecEnvWrapper):
             self._episode_sums[i] = 0.0
         self._filled += 1
         if self._filled == len(self._rewards):
-            self._update()
-            self._filled = 0
+            self.metrics = {**self.metrics, "reward": float(self._rewards.mean())}
         return observations, rewards + intrinsic, dones, infos
+
+    def learn(self) -> None:
+        """Trains the module, if ``update_every`` steps have passed since it last was."""
+        if self._filled < len(self._rewards):
+            return
+        self._filled = 0
+        columns = [
+            column.reshape(-1, column.shape[-1])
+            for column in (self._observations, self._actions, self._next_observations)
+        ]
+        order = self.generator.permutation(self._rewards.size)
+        minibatches = np.array_split(order, min(self.config.minibatches, len(order)))
+        losses = [self.module.learn(*(column[chosen] for column in columns)) for chosen in minibatches]
+        means = {name: float(np.mean([loss[name] for loss in losses])) for name in losses[0]}
+        self.metrics = {**self.metrics, **means}
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
         """All that it has learned and remembers between two updates; the arrays are views where they can be."""
+        self.learn()
         return {**self.module.adam.state_dict(), "episode_sums": self._episode_sums}
 
     def facts(self) -> dict[str, Any]:
         """What else there is to remember: the state of its random stream, and the last update's metrics."""
+        self.learn()
         return {"random": self.generator.bit_generator.state, "metrics": self.metrics}
 
     def load_state_dict(self, state: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
@@ -110,14 +129,3 @@ class Curiosity(VecEnvWrapper):
         """Goes on in the middle of episodes, (n, observation size) and (n,), instead of after a reset."""
         self._last_observation = observations
         self._episode_sums[:] = episode_sums
-
-    def _update(self) -> None:
-        columns = [
-            column.reshape(-1, column.shape[-1])
-            for column in (self._observations, self._actions, self._next_observations)
-        ]
-        order = self.generator.permutation(self._rewards.size)
-        minibatches = np.array_split(order, min(self.config.minibatches, len(order)))
-        losses = [self.module.learn(*(column[chosen] for column in columns)) for chosen in minibatches]
-        self.metrics = {name: float(np.mean([loss[name] for loss in losses])) for name in losses[0]}
-        self.metrics["reward"] = float(self._rewards.mean())

@@ -49,8 +49,16 @@ class LeanPPO(PPO):
         callback.on_rollout_start()
         observations = np.asarray(self._last_obs, dtype=np.float32)
         for row in range(n_rollout_steps):
-            actions, values, log_probs = self._networks.act(observations)
-            new_observations, rewards, dones, infos = env.step(np.clip(actions, low, high))
+            actions, noise, hidden = self._networks.act(observations)
+            env.step_async(np.clip(actions, low, high))
+            # What only learning needs, while the player moves.
+            values, log_probs = self._networks.judge(noise, hidden)
+            rollout_buffer.observations[row] = observations
+            rollout_buffer.actions[row] = actions
+            rollout_buffer.episode_starts[row] = self._last_episode_starts
+            rollout_buffer.values[row] = values
+            rollout_buffer.log_probs[row] = log_probs
+            new_observations, rewards, dones, infos = env.step_wait()
             self.num_timesteps += env.num_envs
             callback.update_locals(locals())
             if not callback.on_step():
@@ -61,12 +69,7 @@ class LeanPPO(PPO):
                 if infos[slot].get("TimeLimit.truncated", False):
                     last = np.asarray(infos[slot]["terminal_observation"], dtype=np.float32)
                     rewards[slot] += self.gamma * self._networks.values(last[None])[0]
-            rollout_buffer.observations[row] = observations
-            rollout_buffer.actions[row] = actions
             rollout_buffer.rewards[row] = rewards
-            rollout_buffer.episode_starts[row] = self._last_episode_starts
-            rollout_buffer.values[row] = values
-            rollout_buffer.log_probs[row] = log_probs
             observations = np.array(new_observations, dtype=np.float32)
             self._last_obs = observations
             self._last_episode_starts = dones
@@ -169,12 +172,16 @@ class _Networks:
             step.fill_(self._adam.steps)
 
     def act(self, observations: Floats) -> tuple[Floats, Floats, Floats]:
-        """Samples actions, (n, actions); with their values and log probabilities, (n,)."""
+        """Samples actions, (n, actions); with the noise in them, (n, actions), and the critic's hidden layer."""
         _, (hidden_actor, hidden_critic) = self._hidden(observations)
         noise: Floats = torch.randn(len(observations), self.action_size).numpy()
         actions = hidden_actor @ self._wa.T + self._ba + noise * np.exp(self.log_std)
+        return actions, noise, hidden_critic
+
+    def judge(self, noise: Floats, hidden_critic: Floats) -> tuple[Floats, Floats]:
+        """Values and log probabilities, (n,) each, of what ``act`` gave."""
         log_probs = -(0.5 * np.square(noise) + self.log_std + LOG_SQRT_2_PI).sum(axis=1)
-        return actions, (hidden_critic @ self._wv.T + self._bv)[:, 0], log_probs
+        return (hidden_critic @ self._wv.T + self._bv)[:, 0], log_probs
 
     def values(self, observations: Floats) -> Floats:
         """The critic's values, (n,)."""

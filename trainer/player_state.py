@@ -16,7 +16,7 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         restored: A state that the player shall take up with its first reset.
 
     Attributes:
-        state: What the player answered to the last request; None if it did not.
+        state: The player's last answer; None if it gave none.
     """
 
     def __init__(self, restored: bytes | None = None) -> None:
@@ -30,7 +30,7 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         """Asks for the state after the next step, unless the player has shown that it does not know the channel."""
         if self._asked and not self._known:
             return
-        self._asked, self.state = True, None
+        self._asked = True
         self._send(b"")
 
     def on_message_received(self, message: IncomingMessage) -> None:

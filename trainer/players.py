@@ -140,7 +140,7 @@ class Players(Areas):
             player.state.ask()
 
     def states(self) -> list[bytes] | None:
-        """What every player answered to ``ask_states``; None if one did not."""
+        """What every player last answered to ``ask_states``; None if one never did."""
         states = [player.state.state for player in self._players]
         known = [state for state in states if state is not None]
         return known if len(known) == len(states) else None

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -40,24 +40,37 @@ class Stages:
     model: BaseAlgorithm
 
 
-def take(stages: Stages, windows: Windows, facts: Mapping[str, Any]) -> Checkpoint:
+class RandomStates(NamedTuple):
+    """Of the random streams that SB3 draws from: torch's, and NumPy's as ``np.random.get_state`` gives it."""
+
+    torch: Array
+    numpy: Any
+
+
+def random_states() -> RandomStates:
+    """Copies of the states as they are."""
+    return RandomStates(torch.get_rng_state().numpy(), np.random.get_state(legacy=True))  # noqa: NPY002 - SB3's
+
+
+def take(stages: Stages, windows: Windows, random: RandomStates, facts: Mapping[str, Any]) -> Checkpoint:
     """A run's state between two rollouts; the arrays are views.
 
     Args:
-        stages: All of them.
+        stages: All of them; the next rollout's first actions may have been sent.
         windows: The last episodes' numbers.
+        random: Of before those actions were drawn.
         facts: Further plain values.
 
     Raises:
         TrainerError: A loss is NaN or infinite.
     """
     model, statistics = stages.model, _statistics(stages.normaliser)
-    _, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)  # noqa: NPY002 - SB3's
+    _, keys, position, has_gauss, gauss = random.numpy
     arrays: dict[str, Array] = {
         "normaliser/mean": statistics.mean,
         "normaliser/var": statistics.var,
         "normaliser/count": np.array(statistics.count, np.float64),
-        "random/torch": torch.get_rng_state().numpy(),
+        "random/torch": random.torch,
         "random/numpy": np.asarray(keys),
     }
     arrays |= {f"policy/{name}": each.numpy() for name, each in model.policy.state_dict().items()}

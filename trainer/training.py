@@ -3,7 +3,7 @@
 import signal
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from types import FrameType
@@ -19,7 +19,8 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from trainer.algorithms import WINDOW, build_algorithm, steps_per_update
 from trainer.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint, to_bytes
@@ -29,7 +30,7 @@ from trainer.errors import TrainerError
 from trainer.players import EpisodeMonitor, Players
 from trainer.progress import ProgressDisplay, Snapshot
 from trainer.results import ProgressFile, RunFolder, cut_events
-from trainer.run_state import Stages, Windows, load_policy, put_back, take
+from trainer.run_state import RandomStates, Stages, Windows, load_policy, put_back, random_states, take
 from trainer.signals import heeded, uninterrupted
 from trainer.unity import BadNumbers
 
@@ -85,6 +86,34 @@ class ObservationNormaliser(VecNormalize):
         pass
 
 
+class Meanwhile(VecEnvWrapper):
+    """The topmost stage: does what was put off as soon as the next actions are sent, while the player moves."""
+
+    def __init__(self, venv: VecEnv) -> None:
+        super().__init__(venv)
+        self._put_off: list[Callable[[], None]] = []
+
+    def put_off(self, work: Callable[[], None]) -> None:
+        """Has something done during the next step, or instead of it if the actions can't be sent."""
+        self._put_off.append(work)
+
+    def reset(self) -> VecEnvObs:
+        """Resets the environments."""
+        return self.venv.reset()
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Passes the actions on, and does what was put off."""
+        try:
+            self.venv.step_async(actions)
+        finally:
+            while self._put_off:
+                self._put_off.pop()()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Passes on what the environments answer."""
+        return self.venv.step_wait()
+
+
 def build_stages(config: RunConfig, player: VecEnv) -> Stages:
     """Puts monitoring, normalisation (eq. 7), curiosity and the algorithm on an environment.
 
@@ -100,7 +129,7 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
             top = curiosity = Curiosity(normaliser, config.curiosity, steps_per_update(config), config.seed)
         except ValueError as error:
             raise TrainerError(f"{error} Or train without curiosity: --c 0.") from error
-    model = build_algorithm(config, top)
+    model = build_algorithm(config, Meanwhile(top))
     return Stages(player, normaliser, curiosity, model)
 
 
@@ -228,7 +257,9 @@ class _Recorder(BaseCallback):
     def _on_rollout_start(self) -> None:
         self._step_of_rollout = 0
         if self._on_policy or self.num_timesteps >= self._next_kept:
-            self._save()
+            env, random = self.training_env, random_states()  # as they are before the first action's noise
+            assert isinstance(env, Meanwhile)
+            env.put_off(lambda: self._save(random))
         self._ask_before_last_step()
 
     def _on_step(self) -> bool:
@@ -245,20 +276,20 @@ class _Recorder(BaseCallback):
 
     def _on_training_end(self) -> None:
         if not self._on_policy or not self._cut:  # what a rollout that was cut changed has not been learned from
-            self._save()
+            self._save(random_states())
 
     def _ask_before_last_step(self) -> None:
         player = self._stages.player
         if self._on_policy and self._step_of_rollout == self._rollout_steps - 1 and isinstance(player, Players):
             player.ask_states()
 
-    def _save(self) -> None:
+    def _save(self, random: RandomStates) -> None:
         """Saves the run as it is after an update."""
         if self.num_timesteps == self.saved.env_steps:
             return
         try:
             facts = {"config": self._config, "counters": asdict(self._counters)}
-            data = to_bytes(take(self._stages, self._recent, facts))
+            data = to_bytes(take(self._stages, self._recent, random, facts))
         except TrainerError as error:
             raise TrainerError(f"After the update at step {self.num_timesteps:,}: {error}") from error
         self._writer.write(self.num_timesteps, data)
