@@ -13,7 +13,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from corridor_server.gym_env import CorridorEnv
 from trainer.checkpoint import read_checkpoint
 from trainer.errors import TrainerError
-from trainer.main import Train
+from trainer.main import Train, main
 from trainer.results import RunFolder
 from trainer.run import train_run
 from trainer.sb3_zip import load_sb3_policy
@@ -50,6 +50,14 @@ def test_a_run_begins_with_it_and_says_what_it_does_not_take(tmp_path, free_port
     assert folder.read_config() == config
     learned = read_checkpoint(folder.checkpoints).arrays["policy/log_std"]
     assert learned == pytest.approx(np.full(2, -5.0), abs=0.5)  # a random policy begins at -0.5
+
+
+def test_a_bad_file_is_refused_before_anything_begins(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("no model")
+    arguments = ["--run-id", "r", "--results-dir", str(tmp_path / "results"), "--from-sb3", str(tmp_path / "notes.txt")]
+    assert main(["train", *arguments]) == 1
+    assert "is not a model that Stable-Baselines3 saved" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "results").exists()
 
 
 class Evil:

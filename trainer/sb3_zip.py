@@ -5,6 +5,7 @@ import zipfile
 import zlib
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -15,25 +16,24 @@ POLICY = "policy.pth"
 LIMIT = 256 * 2**20  # bytes, unpacked
 
 
-def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
-    """Puts the weights of a saved Stable-Baselines3 policy into a model with the same networks.
+def read_sb3_policy(path: Path) -> dict[str, Any]:
+    """The weights of a saved Stable-Baselines3 policy.
 
     Of the file only ``policy.pth`` is read, as tensors (``weights_only``). What else it holds, settings and optimiser,
     is pickled and stays unread.
 
     Args:
         path: What ``model.save()`` of Stable-Baselines3 wrote.
-        model: Its policy gets the weights.
 
     Raises:
-        TrainerError: It is no such file, holds anything but numbers, or is of another policy.
+        TrainerError: It is no such file, or holds anything but numbers.
     """
     try:
         with zipfile.ZipFile(path) as file:
             if file.getinfo(POLICY).file_size > LIMIT:
                 raise TrainerError(f"{POLICY} in {path} has more than {LIMIT // 2**20} MiB; it is no policy of ours.")
             data = file.read(POLICY)
-        weights = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        weights: dict[str, Any] = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (
         OSError,
         LookupError,
@@ -48,6 +48,16 @@ def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
         raise TrainerError(
             f"{path} is not a model that Stable-Baselines3 saved ({reason}); give what model.save() wrote."
         ) from error
+    return weights
+
+
+def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
+    """Puts the weights of a saved Stable-Baselines3 policy into a model with the same networks.
+
+    Raises:
+        TrainerError: As ``read_sb3_policy``, or it is of another policy.
+    """
+    weights = read_sb3_policy(path)
     try:
         model.policy.load_state_dict(weights)
     except (RuntimeError, TypeError, AttributeError) as error:
