@@ -4,7 +4,7 @@ FROM ${PYTHON_IMAGE}
 WORKDIR /app
 COPY pyproject.toml constraints.txt LICENSE ./
 # What it needs, in a layer of its own: a change of the source does not install it again.
-RUN touch README.md && mkdir -p corridor_server trainer/conformance && pip install --no-cache-dir --constraint constraints.txt .
+RUN touch README.md && pip install --no-cache-dir --constraint constraints.txt .
 COPY corridor_server corridor_server
 COPY trainer trainer
 RUN pip install --no-cache-dir --no-deps --force-reinstall . && rm -rf /app/* /root/.cache
