@@ -28,6 +28,7 @@ def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
         (0.0, "fast"),
         (0.3, "paper"),
     ]
+    assert all(0.0 < row["exchange_share"] < 1.0 for row in report["train"])
     assert report["startup_seconds"]["corridor-server"] > 0
     assert set(report["memory_mb"]) == {"1e6", "1e7"}
     assert report["machine"]["versions"]["mlagents-envs"] == "0.28.0"

@@ -126,7 +126,7 @@ class Recorded(Areas):
 
 
 def opened(slots: Recorded) -> Player:
-    environment = SimpleNamespace(kill=slots.close, close=slots.close, _loaded=True)
+    environment = SimpleNamespace(kill=slots.close, close=slots.close, _loaded=True, exchange_seconds=2.0)
     return Player(environment, slots, PlayerState(), "Scripted", BEHAVIOR)
 
 
@@ -159,6 +159,14 @@ def test_a_player_computes_while_nobody_waits_for_it(open_corridor):
         time.sleep(0.01)
     assert answers.qsize() == 1
     assert env.step_wait()[1].shape == (2,)
+
+
+def test_the_time_spent_with_a_player_that_died_still_counts():
+    players = failing([UnityTimeOutException("silent")], [])
+    players.reset()
+    assert players.exchange_seconds == 2.0
+    players.step(np.zeros((2, 2)))
+    assert players.exchange_seconds == 4.0
 
 
 def test_players_of_different_builds_are_refused():

@@ -78,6 +78,7 @@ def test_the_summary_has_the_contracts_keys(run):
     assert evaluation["episodes"] == 20
     assert (evaluation.pop("mean_success_length") is None) == (evaluation["success_rate"] == 0)
     assert all(isinstance(value, int | float) for value in evaluation.values())
+    assert 0.0 < summary["exchange_share"] < 1.0
 
 
 def test_the_configuration_is_enough_to_run_it_again(run):

@@ -303,10 +303,14 @@ def _world(areas: int) -> float:
 
 
 def _training(port: int) -> list[dict[str, Any]]:
-    rates: dict[tuple[str, float], list[float]] = {("fast", 0.3): [], ("fast", 0.0): [], ("paper", 0.3): []}
+    summaries: dict[tuple[str, float], list[dict[str, Any]]] = {
+        ("fast", 0.3): [],
+        ("fast", 0.0): [],
+        ("paper", 0.3): [],
+    }
     with tempfile.TemporaryDirectory() as folder:
         for number in range(2):
-            for (preset, c), found in rates.items():
+            for (preset, c), found in summaries.items():
                 run_id = f"{preset}-c{c}-{number}"
                 command = [sys.executable, "-m", "trainer.main", "train", "--run-id", run_id, "--results-dir", folder]
                 command += ["--preset", preset, "--c", str(c), "--steps", str(TRAIN_STEPS[preset])]
@@ -314,9 +318,11 @@ def _training(port: int) -> list[dict[str, Any]]:
                 run = subprocess.run(command, capture_output=True, text=True)
                 if run.returncode:
                     raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
-                found.append(json.loads((Path(folder) / run_id / "summary.json").read_text())["steps_per_second"])
+                found.append(json.loads((Path(folder) / run_id / "summary.json").read_text()))
+    measures = ("steps_per_second", "exchange_share")
     return [
-        {"c": c, "preset": preset, "steps_per_second": statistics.median(found)} for (preset, c), found in rates.items()
+        {"c": c, "preset": preset, **{name: statistics.median(each[name] for each in found) for name in measures}}
+        for (preset, c), found in summaries.items()
     ]
 
 
@@ -382,7 +388,10 @@ def _print(report: dict[str, Any], console: Console) -> None:
     for row in report["world"]:
         console.print(f"world in process, {row['areas']:>5,} areas: {row['steps_per_second']:>12,.0f} steps/s")
     for row in report["train"]:
-        console.print(f"training, preset {row['preset']}, c = {row['c']:g}: {row['steps_per_second']:,.0f} steps/s")
+        console.print(
+            f"training, preset {row['preset']}, c = {row['c']:g}: {row['steps_per_second']:,.0f} steps/s, "
+            f"{row['exchange_share']:.0%} of the time in the exchange"
+        )
     for name, seconds in report["startup_seconds"].items():
         console.print(f"{name} starts in {seconds:.2f} s")
     for name, memory in report["memory_mb"].items():

@@ -92,6 +92,7 @@ class Players(Areas):
         behavior: The name of the players' behavior.
         behavior_spec: What its agents observe and do.
         restarts: How often players were started again.
+        exchange_seconds: Time spent sending messages to them and waiting for theirs.
         observations: What every slot showed last, (slots, observation size).
 
     Raises:
@@ -113,6 +114,7 @@ class Players(Areas):
         self._launched = launched
         self._console = Console(stderr=True)
         self._restarts: list[list[float]] = [[] for _ in lives]
+        self._former_exchange_seconds = 0.0  # of players that died
         self._players = _open_all(start, lives)
         first = self._players[0]
         self.behavior, self.behavior_spec, self._areas = first.behavior, first.spec, first.slots.num_envs
@@ -128,6 +130,11 @@ class Players(Areas):
     def restarts(self) -> int:
         """How often players were started again."""
         return sum(len(times) for times in self._restarts)
+
+    @property
+    def exchange_seconds(self) -> float:
+        """Time spent sending messages to them and waiting for theirs."""
+        return self._former_exchange_seconds + sum(each.environment.exchange_seconds for each in self._players)
 
     @property
     def lives(self) -> list[int]:
@@ -203,7 +210,9 @@ class Players(Areas):
         Raises:
             TrainerError: It failed too often, or it can't be started.
         """
-        self._players[number].environment.kill()
+        dead = self._players[number].environment
+        self._former_exchange_seconds += dead.exchange_seconds
+        dead.kill()
         while True:
             self._allow_restart(number, failure)
             try:

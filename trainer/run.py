@@ -103,6 +103,9 @@ def train_run(
                 "restarts": counters.restarts + counters.resumes,
                 "player_restarts": counters.restarts,
                 "resumes": counters.resumes,
+                "exchange_share": round(counters.exchange_seconds / counters.wall_seconds, 3)
+                if counters.wall_seconds
+                else None,
             }
         )
         title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"

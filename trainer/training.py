@@ -53,6 +53,7 @@ class Counters:
         env_steps: Agent steps.
         episodes: Ended episodes.
         wall_seconds: Time spent learning.
+        exchange_seconds: Of it, time spent sending messages to players and waiting for theirs.
         steps_to_50_success: Agent steps at which half of the last 100 episodes had succeeded, or None.
         steps_to_90_success: The same for nine tenths.
         restarts: How often a player was started again because it had died or hung.
@@ -62,6 +63,7 @@ class Counters:
     env_steps: int = 0
     episodes: int = 0
     wall_seconds: float = 0.0
+    exchange_seconds: float = 0.0
     steps_to_50_success: int | None = None
     steps_to_90_success: int | None = None
     restarts: int = 0
@@ -246,6 +248,7 @@ class _Recorder(BaseCallback):
         self._next_row = counters.env_steps + ROW_STEPS
         self._next_kept = counters.env_steps + CHECKPOINT_STEPS
         self._earlier_seconds = counters.wall_seconds
+        self._earlier_exchange = counters.exchange_seconds - getattr(stages.player, "exchange_seconds", 0.0)
         self._earlier_restarts = counters.restarts
         self._started = time.monotonic()
 
@@ -265,6 +268,7 @@ class _Recorder(BaseCallback):
     def _on_step(self) -> bool:
         self._counters.env_steps = self.num_timesteps
         self._counters.wall_seconds = self._earlier_seconds + time.monotonic() - self._started
+        self._counters.exchange_seconds = self._earlier_exchange + getattr(self._stages.player, "exchange_seconds", 0.0)
         self._counters.restarts = self._earlier_restarts + getattr(self._stages.player, "restarts", 0)
         for info in self.locals["infos"]:
             if "episode" in info:

@@ -94,6 +94,12 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             atexit.unregister(self._close)
             raise
 
+    @property
+    def exchange_seconds(self) -> float:
+        """Time spent sending messages and waiting for the player's."""
+        seconds: float = self._communicator.seconds
+        return seconds
+
     def kill(self) -> None:
         """Closes the environment without waiting for a player that hangs."""
         self._close(0)
