@@ -15,13 +15,14 @@ import yaml
 from conftest import BIN
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from trainer.errors import TrainerError
 from trainer.main import Train
 from trainer.results import PROGRESS_COLUMNS
-from trainer.training import Meanwhile, build_stages
+from trainer.training import Meanwhile, ObservationStatistics, build_stages
 
 TIMING = {"steps_per_second", "wall_seconds"}
 
@@ -261,3 +262,14 @@ def test_what_was_put_off_is_done_even_if_the_actions_cant_be_sent():
     with pytest.raises(TrainerError, match="no number"):
         stage.step(np.full((1, 1), np.nan, np.float32))
     assert told == ["save"]
+
+
+@pytest.mark.parametrize(("rows", "kind"), [(1, np.float32), (64, np.float32), (1000, np.float32), (64, np.float64)])
+def test_the_normalisers_statistics_are_sb3s_to_the_bit(rows, kind):
+    ours, theirs, generator = ObservationStatistics(shape=(13,)), RunningMeanStd(shape=(13,)), np.random.default_rng(0)
+    for _ in range(20):
+        observations = generator.normal(3.0, 2.0, (rows, 13)).astype(kind)
+        ours.update(observations), theirs.update(observations)
+        assert np.array_equal(ours.mean, theirs.mean)
+        assert np.array_equal(ours.var, theirs.var)
+        assert ours.count == theirs.count

@@ -70,11 +70,26 @@ class Counters:
     resumes: int = 0
 
 
+class ObservationStatistics(RunningMeanStd):
+    """``RunningMeanStd``: the same numbers to the bit, without the checks of ``np.mean`` and ``np.var``."""
+
+    def update(self, arr: NDArray[Any]) -> None:
+        """Takes (n, size) floats into the mean and variance."""
+        count = arr.dtype.type(len(arr))
+        mean = np.add.reduce(arr, axis=0) / count
+        self.update_from_moments(mean, np.add.reduce(np.square(arr - mean), axis=0) / count, len(arr))
+
+
 class ObservationNormaliser(VecNormalize):
     """``VecNormalize`` without what a vector observation's eq. 7 does not need.
 
     It doesn't follow the return's variance, which is for ``norm_reward``, and makes no copy beforehand.
     """
+
+    def __init__(self, venv: VecEnv) -> None:
+        super().__init__(venv, norm_reward=False, clip_obs=OBSERVATION_CLIP)
+        shape = self.observation_space.shape or ()
+        self.obs_rms = ObservationStatistics(shape=shape)  # type: ignore[assignment]  # for SB3, first a dict's
 
     def normalize_obs(self, obs: Any) -> NDArray[np.float32]:
         """Eq. 7: (n, size) observations less their running mean, over their running deviation, limited to +-10."""
@@ -123,7 +138,7 @@ def build_stages(config: RunConfig, player: VecEnv) -> Stages:
         TrainerError: Curiosity or the algorithm can't take the environment's observations or actions.
     """
     torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
-    normaliser = ObservationNormaliser(EpisodeMonitor(player), norm_reward=False, clip_obs=OBSERVATION_CLIP)
+    normaliser = ObservationNormaliser(EpisodeMonitor(player))
     top: VecEnv = normaliser
     curiosity = None
     if config.curiosity.c > 0:

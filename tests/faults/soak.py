@@ -19,6 +19,8 @@ from matplotlib.figure import Figure
 
 COLUMNS = ["process", "seconds", "resident_bytes", "descriptors", "threads"]
 SAMPLE_SECONDS = 0.5
+BLOCKS = 20
+T_OF_BLOCKS = 2.10  # 97.5% of Student's t with 18 degrees of freedom, of 19 changes
 
 
 def sample(process: int) -> tuple[int, int, int]:
@@ -31,14 +33,14 @@ def sample(process: int) -> tuple[int, int, int]:
 def slope(seconds: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     """Bytes a second over the last half, and half the width of its 95% interval.
 
-    Neighbouring samples are not independent: the interval is of a line through the means of 20 blocks.
+    Memory stays where its last step took it, so a line's residuals are not independent and its interval is too narrow:
+    a single page would be a trend. The slope is the mean change from one of 20 blocks to the next instead.
     """
     late = seconds >= seconds[0] + (seconds[-1] - seconds[0]) / 2
-    blocks = [block for block in np.array_split(np.flatnonzero(late), 20) if len(block)]
-    x, y = (np.array([column[block].mean() for block in blocks]) for column in (seconds, values))
-    fit, residual = np.polyfit(x, y, 1), 0.0
-    residual = float(np.square(y - np.polyval(fit, x)).sum() / (len(x) - 2))
-    return float(fit[0]), 2.10 * float(np.sqrt(residual / np.square(x - x.mean()).sum()))  # t of 18 degrees of freedom
+    blocks = np.array_split(np.flatnonzero(late), BLOCKS)
+    middles, means = (np.array([column[block].mean() for block in blocks]) for column in (seconds, values))
+    changes = np.diff(means) / np.diff(middles)
+    return float(changes.mean()), T_OF_BLOCKS * float(changes.std(ddof=1) / np.sqrt(len(changes)))
 
 
 def exchange(steps: int, port: int) -> Iterator[list[float | str]]:
