@@ -47,16 +47,12 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         timeout_wait: Seconds to wait for each message of the player.
         host: Where to listen. The protocol has no authentication: anything but loopback trusts the network.
 
-    Attributes:
-        seconds: Time that callers spent in ``send`` and ``receive``.
-
     Raises:
         UnityWorkerInUseException: The port is taken.
     """
 
     def __init__(self, worker_id: int, base_port: int, timeout_wait: float, host: str = "localhost") -> None:
         super().__init__(worker_id, base_port)
-        self.seconds = 0.0
         self._timeout_wait = timeout_wait
         # From the player: a message's bytes, or None when its connection broke. To the player: its next message.
         self._received: SimpleQueue[bytes | None] = SimpleQueue()
@@ -123,15 +119,11 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
 
     def send(self, message: bytes) -> None:
         """Sends a serialised UnityMessageProto, and does not wait for the answer."""
-        began = time.perf_counter()
         self._replies.put(message)
-        self.seconds += time.perf_counter() - began
 
     def receive(self, poll_callback: PollCallback | None = None) -> bytes | None:
         """The player's answer to what was sent, serialised, or None when the player has stopped."""
-        began = time.perf_counter()
         data = self._receive(poll_callback)
-        self.seconds += time.perf_counter() - began
         if data is None or data.startswith(HEADER_OK) or parse(data).header.status == OK:
             return data
         return None

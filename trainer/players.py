@@ -92,7 +92,7 @@ class Players(Areas):
         behavior: The name of the players' behavior.
         behavior_spec: What its agents observe and do.
         restarts: How often players were started again.
-        exchange_seconds: Time spent sending messages to them and waiting for theirs.
+        exchange_seconds: Time spent exchanging messages with them, as ``Environment`` counts it.
         observations: What every slot showed last, (slots, observation size).
 
     Raises:
@@ -133,7 +133,7 @@ class Players(Areas):
 
     @property
     def exchange_seconds(self) -> float:
-        """Time spent sending messages to them and waiting for theirs."""
+        """Time spent exchanging messages with them."""
         return self._former_exchange_seconds + sum(each.environment.exchange_seconds for each in self._players)
 
     @property

@@ -53,7 +53,7 @@ class Counters:
         env_steps: Agent steps.
         episodes: Ended episodes.
         wall_seconds: Time spent learning.
-        exchange_seconds: Of it, time spent sending messages to players and waiting for theirs.
+        exchange_seconds: Of it, time spent exchanging messages with the players.
         steps_to_50_success: Agent steps at which half of the last 100 episodes had succeeded, or None.
         steps_to_90_success: The same for nine tenths.
         restarts: How often a player was started again because it had died or hung.

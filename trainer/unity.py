@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -80,10 +81,15 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         host: Where to listen.
         number: Of several players; names the log of one that is launched.
         **options: ``UnityEnvironment``'s.
+
+    Attributes:
+        exchange_seconds: Time spent in ``send`` and ``receive``, which is most of ``step``: from actions to
+            observations, encoding, waiting and decoding.
     """
 
     def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, number: int = 0, **options: Any) -> None:
         self._host = host
+        self.exchange_seconds = 0.0
         self._plain: _Plain | None = None
         worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
         try:
@@ -93,12 +99,6 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
                 self._close(0)
             atexit.unregister(self._close)
             raise
-
-    @property
-    def exchange_seconds(self) -> float:
-        """Time spent sending messages and waiting for the player's."""
-        seconds: float = self._communicator.seconds
-        return seconds
 
     def kill(self) -> None:
         """Closes the environment without waiting for a player that hangs."""
@@ -132,6 +132,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
 
     def send(self) -> None:
         """The first half of ``step``: the player computes from here on, while the caller does something else."""
+        began = time.perf_counter()
         for name, spec in self._env_specs.items():
             if name not in self._env_actions:
                 self._env_actions[name] = spec.action_spec.empty_action(len(self._env_state[name][0]))
@@ -142,9 +143,11 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         else:
             message = serialise(self._generate_step_input(self._env_actions))
         self._communicator.send(message)
+        self.exchange_seconds += time.perf_counter() - began
 
     def receive(self) -> None:
         """The second half of ``step``: waits for the player's message, which ``get_steps`` then shows."""
+        began = time.perf_counter()
         data = self._communicator.receive(self._poll_process)
         if data is None:
             raise UnityCommunicatorStoppedException("Communicator has exited.")
@@ -161,6 +164,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             self._env_state[plain.behavior] = _steps(read[0])
             self._side_channel_manager.process_side_channel_message(read[1])
         self._env_actions.clear()
+        self.exchange_seconds += time.perf_counter() - began
 
     def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
