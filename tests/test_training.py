@@ -21,8 +21,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from trainer.errors import TrainerError
 from trainer.main import Train
+from trainer.normaliser import ObservationStatistics
 from trainer.results import PROGRESS_COLUMNS
-from trainer.training import Meanwhile, ObservationStatistics, build_stages
+from trainer.training import Meanwhile, build_stages
 
 TIMING = {"steps_per_second", "wall_seconds"}
 

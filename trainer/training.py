@@ -18,8 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from trainer.algorithms import WINDOW, build_algorithm, steps_per_update
@@ -27,6 +26,7 @@ from trainer.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint, to
 from trainer.config import RunConfig
 from trainer.curiosity import Curiosity
 from trainer.errors import TrainerError
+from trainer.normaliser import ObservationNormaliser
 from trainer.players import EpisodeMonitor, Players
 from trainer.progress import ProgressDisplay, Snapshot
 from trainer.results import ProgressFile, RunFolder, cut_events
@@ -36,7 +36,6 @@ from trainer.unity import BadNumbers
 
 ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
 CHECKPOINT_STEPS = 500_000
-OBSERVATION_CLIP = 10.0
 CURIOSITY_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",
     "inverse_loss": "Losses/Curiosity Inverse Loss",
@@ -68,39 +67,6 @@ class Counters:
     steps_to_90_success: int | None = None
     restarts: int = 0
     resumes: int = 0
-
-
-class ObservationStatistics(RunningMeanStd):
-    """``RunningMeanStd``: the same numbers to the bit, without the checks of ``np.mean`` and ``np.var``."""
-
-    def update(self, arr: NDArray[Any]) -> None:
-        """Takes (n, size) floats into the mean and variance."""
-        count = arr.dtype.type(len(arr))
-        mean = np.add.reduce(arr, axis=0) / count
-        self.update_from_moments(mean, np.add.reduce(np.square(arr - mean), axis=0) / count, len(arr))
-
-
-class ObservationNormaliser(VecNormalize):
-    """``VecNormalize`` without what a vector observation's eq. 7 does not need.
-
-    It doesn't follow the return's variance, which is for ``norm_reward``, and makes no copy beforehand.
-    """
-
-    def __init__(self, venv: VecEnv) -> None:
-        super().__init__(venv, norm_reward=False, clip_obs=OBSERVATION_CLIP)
-        shape = self.observation_space.shape or ()
-        self.obs_rms = ObservationStatistics(shape=shape)  # type: ignore[assignment]  # for SB3, first a dict's
-
-    def normalize_obs(self, obs: Any) -> NDArray[np.float32]:
-        """Eq. 7: (n, size) observations less their running mean, over their running deviation, limited to +-10."""
-        statistics = self.obs_rms
-        assert isinstance(statistics, RunningMeanStd)  # one vector observation
-        scaled = (obs - statistics.mean) / np.sqrt(statistics.var + self.epsilon)
-        limited: NDArray[np.float32] = np.minimum(np.maximum(scaled, -self.clip_obs), self.clip_obs).astype(np.float32)
-        return limited
-
-    def _update_reward(self, reward: NDArray[np.float64]) -> None:
-        pass
 
 
 class Meanwhile(VecEnvWrapper):
