@@ -1,5 +1,7 @@
 """What tests share: a free port, a corridor whose numbers are easy by hand, and the commands under test."""
 
+import itertools
+import os
 import shutil
 import socket
 import subprocess
@@ -34,11 +36,26 @@ DESKTOP = {"width": 1280, "height": 860}
 Open = Callable[..., Any]
 
 
+# Below those that the system gives to outgoing connections, of which one might have the next in a row; each of the
+# processes that share the tests has its own.
+_CANDIDATES = itertools.count(10_000 + 2_000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]), 4)
+
+
+def unused_port() -> int:
+    """The first of four ports in a row that nobody uses."""
+    for first in _CANDIDATES:
+        try:
+            for port in range(first, first + 4):
+                socket.create_server(("127.0.0.1", port)).close()
+        except OSError:
+            continue
+        return first
+    raise AssertionError  # the count has no end
+
+
 @pytest.fixture
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return unused_port()
 
 
 @pytest.fixture

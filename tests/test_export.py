@@ -1,6 +1,5 @@
 """``corridor export``: the policy as ML-Agents names it, equal to Stable-Baselines3's."""
 
-import socket
 import subprocess
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from conftest import BIN
+from conftest import BIN, unused_port
 from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
@@ -55,9 +54,7 @@ def stages_on(behavior, *, c: float = 0.0, mean: float = 0.0, variance: float = 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("results")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = unused_port()
     options = ("--steps", 4000, "--num-areas", 16, "--eval-episodes", 1)
     done = corridor("train", "--run-id", "mine", "--results-dir", results, "--base-port", port, *options)
     assert done.returncode == 0, done.stderr

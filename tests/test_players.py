@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import signal
-import socket
 import subprocess
 import time
 from pathlib import Path
@@ -33,21 +32,6 @@ BEHAVIOR = spec([(13,)], ActionSpec.create_continuous(2))
 TIMING = {"steps_per_second", "wall_seconds"}
 
 
-@pytest.fixture
-def free_ports() -> int:
-    """The first of four ports in a row that nobody uses."""
-    while True:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            first = probe.getsockname()[1]
-        try:
-            for port in range(first, first + 4):
-                socket.create_server(("127.0.0.1", port)).close()
-        except (OSError, OverflowError):
-            continue
-        return first
-
-
 def players_of(path: Path, port: int, count: int, areas: int = 4, limits: RestartLimits = UNLIMITED, wait: int = 30):
     config = Train("r", num_envs=count, num_areas=areas).run_config()
     return open_player(config, path, seed=5, port=port, timeout_wait=wait, limits=limits)
@@ -64,19 +48,17 @@ def seed_of(log: Path) -> str:
 # side by side
 
 
-def test_three_players_are_three_runs_of_one_player_with_seeds_of_their_own(tmp_path, free_ports):
+def test_three_players_are_three_runs_of_one_player_with_seeds_of_their_own(tmp_path, free_port):
     def single(number):
         seed = 5 + number * PLAYER_STRIDE
         told = channels(Train("r").run_config(), seed)
         return UnityVecEnv(
-            open_environment(
-                "builtin", seed=seed, num_areas=4, port=free_ports + 3, timeout_wait=30, side_channels=told
-            )
+            open_environment("builtin", seed=seed, num_areas=4, port=free_port + 3, timeout_wait=30, side_channels=told)
         )
 
     actions = np.random.default_rng(0).uniform(-1, 1, (300, 12, 2)).astype(np.float32)
     together = []
-    with players_of(tmp_path, free_ports, 3) as (players, behavior):
+    with players_of(tmp_path, free_port, 3) as (players, behavior):
         assert behavior == "Corridor?team=0"
         together.append(players.reset())
         for each in actions:
@@ -190,8 +172,8 @@ def test_if_one_of_several_cant_be_opened_the_others_are_closed():
 # a player that dies
 
 
-def test_a_players_death_cuts_its_own_episodes_and_nothing_else(tmp_path, free_ports, capfd):
-    with players_of(tmp_path, free_ports, 2) as (players, _):
+def test_a_players_death_cuts_its_own_episodes_and_nothing_else(tmp_path, free_port, capfd):
+    with players_of(tmp_path, free_port, 2) as (players, _):
         players.reset()
         for _ in range(20):
             before, *_ = players.step(np.zeros((8, 2), np.float32))
@@ -217,8 +199,8 @@ def test_a_players_death_cuts_its_own_episodes_and_nothing_else(tmp_path, free_p
     assert "It is started again (restart 1)." in error
 
 
-def test_a_player_that_hangs_is_started_again(tmp_path, free_ports):
-    with players_of(tmp_path, free_ports, 1, wait=3) as (players, _):
+def test_a_player_that_hangs_is_started_again(tmp_path, free_port):
+    with players_of(tmp_path, free_port, 1, wait=3) as (players, _):
         players.reset()
         os.kill(process_of(players, 0), signal.SIGSTOP)
         *_, infos = players.step(np.zeros((4, 2), np.float32))
@@ -227,8 +209,8 @@ def test_a_player_that_hangs_is_started_again(tmp_path, free_ports):
         players.step(np.zeros((4, 2), np.float32))
 
 
-def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_ports):
-    with players_of(tmp_path, free_ports, 1) as (players, _):
+def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_port):
+    with players_of(tmp_path, free_port, 1) as (players, _):
         players.reset()
         players.step(np.zeros((4, 2), np.float32))
         os.kill(process_of(players, 0), signal.SIGKILL)
@@ -236,9 +218,9 @@ def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_ports):
         assert players.restarts == 1
 
 
-def test_the_gym_path_survives_too(tmp_path, free_ports):
+def test_the_gym_path_survives_too(tmp_path, free_port):
     config = Train("r", preset="paper").run_config()
-    with open_player(config, tmp_path, seed=5, port=free_ports, timeout_wait=30, limits=UNLIMITED) as (players, _):
+    with open_player(config, tmp_path, seed=5, port=free_port, timeout_wait=30, limits=UNLIMITED) as (players, _):
         players.reset()
         players.step(np.zeros((1, 2), np.float32))
         os.kill(process_of(players, 0), signal.SIGKILL)
@@ -359,11 +341,11 @@ def wait_for_a_row(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_ports):
+def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port):
     found = []
     for name in ("one", "two"):
         done = corridor(
-            "train", "--run-id", name, "--results-dir", tmp_path, "--base-port", free_ports, "--num-envs", 3,
+            "train", "--run-id", name, "--results-dir", tmp_path, "--base-port", free_port, "--num-envs", 3,
             "--num-areas", 5, "--steps", 20_000, "--eval-episodes", 6,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -375,14 +357,14 @@ def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port
     assert found[0][1]["evaluation"] == found[1][1]["evaluation"]
 
 
-def test_training_goes_on_when_a_player_is_killed(tmp_path, free_ports):
+def test_training_goes_on_when_a_player_is_killed(tmp_path, free_port):
     process = subprocess.Popen(
         [str(BIN / "corridor"), "train", "--run-id", "r", "--results-dir", str(tmp_path), "--base-port",
-         str(free_ports), "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
+         str(free_port), "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     wait_for_a_row(tmp_path / "r")
-    found = subprocess.run(["pgrep", "-f", f"mlagents-port {free_ports + 1}"], capture_output=True, text=True).stdout
+    found = subprocess.run(["pgrep", "-f", f"mlagents-port {free_port + 1}"], capture_output=True, text=True).stdout
     os.kill(int(found), signal.SIGKILL)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
@@ -400,18 +382,18 @@ def dial_in(port: int) -> subprocess.Popen[bytes]:
     )  # fmt: skip
 
 
-def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_path, free_ports):
+def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_path, free_port):
     process = subprocess.Popen(
         [str(BIN / "corridor"), "train", "--run-id", "r", "--results-dir", str(tmp_path), "--env",
-         f"localhost:{free_ports}", "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
+         f"localhost:{free_port}", "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    away = [dial_in(free_ports + number) for number in range(2)]
+    away = [dial_in(free_port + number) for number in range(2)]
     wait_for_a_row(tmp_path / "r")
     away[1].kill()
     said = process.stderr.readline()
     assert "Waiting for it to dial in again (restart 1)." in said
-    away.append(dial_in(free_ports + 1))
+    away.append(dial_in(free_port + 1))
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["restarts"] == 1

@@ -3,7 +3,6 @@
 import csv
 import json
 import signal
-import socket
 import subprocess
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
-from conftest import BIN
+from conftest import BIN, unused_port
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -50,9 +49,7 @@ def processes(port: int) -> str:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run of the default preset."""
     results = tmp_path_factory.mktemp("results")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = unused_port()
     done = train("short", results, port, "--steps", 40_000, "--num-areas", 16, "--eval-episodes", 20)
     assert done.returncode == 0, done.stderr
     return results / "short"
