@@ -237,11 +237,17 @@ def statistics(state: State, outcome: Outcome) -> dict[str, Floats]:
 
 
 def _reward(p: Parameters, success: Bools, wall_contact: Bools, opponent_contact: Bools, d_opp: Floats) -> Floats:
-    """Eq. 9: of its cases, written from the last to the first, the first that applies."""
-    reward = np.where(d_opp < p["near_distance"], -p["near_penalty"] - (1.0 - d_opp) / 4.0, -p["step_penalty"])
-    reward = np.where(opponent_contact, -p["contact_penalty"], reward)
-    reward = np.where(wall_contact, -p["wall_penalty"], reward)
-    return np.where(success, p["goal_reward"], reward)
+    """Eq. 9: the first case that applies (``np.select``, which takes three times as long)."""
+    cases = (
+        (success, p["goal_reward"]),
+        (wall_contact, -p["wall_penalty"]),
+        (opponent_contact, -p["contact_penalty"]),
+        (d_opp < p["near_distance"], -p["near_penalty"] - (1.0 - d_opp) / 4.0),
+    )
+    reward = -p["step_penalty"]
+    for applies, value in reversed(cases):
+        reward = np.where(applies, value, reward)
+    return reward
 
 
 def _nearest(position: Floats, opponent_position: Floats) -> Floats:
