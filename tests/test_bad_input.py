@@ -74,6 +74,7 @@ def test_a_missing_executable(tmp_path):
     fails(
         "train", "--run-id", "r", "--results-dir", tmp_path, "--env", tmp_path / "Corridor", says="There is no player"
     )
+    assert not (tmp_path / "r").exists()
 
 
 def test_an_executable_without_permission(tmp_path):
@@ -82,6 +83,7 @@ def test_an_executable_without_permission(tmp_path):
     fails(
         "train", "--run-id", "r", "--results-dir", tmp_path, "--env", path, says="may not be executed; run 'chmod \\+x"
     )
+    assert not (tmp_path / "r").exists()
 
 
 def test_a_port_in_use(tmp_path, free_port):

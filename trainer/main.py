@@ -460,10 +460,13 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
         return 0
     if isinstance(command, Train):
         config, limits = command.run_config(), command.restart_limits()
+        from trainer.unity import check_launchable
+
+        check_launchable(config.env)  # a bad player or file is refused before a folder is made
         if command.from_sb3 is not None and not command.resume:
             from trainer.sb3_zip import read_sb3_policy
 
-            read_sb3_policy(command.from_sb3)  # a bad file is refused before a folder is made
+            read_sb3_policy(command.from_sb3)
         folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)
         from trainer import run  # torch takes seconds to import, and an error before it should not
 

@@ -392,6 +392,17 @@ def place(env: str, port: int, listen: str = LOOPBACK) -> tuple[str | None, str,
     return env, listen, port
 
 
+def check_launchable(env: str) -> None:
+    """Refuses what can be seen, without starting it, not to be a player.
+
+    Raises:
+        TrainerError: A player is to be launched, and there is none, or it may not be executed.
+    """
+    file_name, _, _ = place(env, 0)
+    if file_name is not None:
+        launch_path(file_name)
+
+
 def launch_path(file_name: str) -> str:
     """The program that ``mlagents_envs`` would launch for a build's name.
 
