@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from trainer.networks import Adam, Floats
 
 LOG_SQRT_2_PI = np.float32(0.5 * math.log(2.0 * math.pi))
+ACTOR, CRITIC, BOTH = slice(0, 1), slice(1, 2), slice(0, 2)
 
 
 class LeanPPO(PPO):
@@ -48,16 +49,18 @@ class LeanPPO(PPO):
         rollout_buffer.reset()
         callback.on_rollout_start()
         observations = np.asarray(self._last_obs, dtype=np.float32)
+        noise = self._networks.noise(env.num_envs)
         for row in range(n_rollout_steps):
-            actions, noise, hidden = self._networks.act(observations)
-            env.step_async(np.clip(actions, low, high))
-            # What only learning needs, while the player moves.
-            values, log_probs = self._networks.judge(noise, hidden)
+            actions = self._networks.act(observations, noise)
+            env.step_async(np.minimum(np.maximum(actions, low), high))
+            # What the player need not wait for.
             rollout_buffer.observations[row] = observations
             rollout_buffer.actions[row] = actions
             rollout_buffer.episode_starts[row] = self._last_episode_starts
-            rollout_buffer.values[row] = values
-            rollout_buffer.log_probs[row] = log_probs
+            rollout_buffer.values[row] = self._networks.values(observations)
+            rollout_buffer.log_probs[row] = self._networks.log_probs(noise)
+            if row + 1 < n_rollout_steps:
+                noise = self._networks.noise(env.num_envs)
             new_observations, rewards, dones, infos = env.step_wait()
             self.num_timesteps += env.num_envs
             callback.update_locals(locals())
@@ -171,22 +174,26 @@ class _Networks:
         for step in self._published_steps:
             step.fill_(self._adam.steps)
 
-    def act(self, observations: Floats) -> tuple[Floats, Floats, Floats]:
-        """Samples actions, (n, actions); with the noise in them, (n, actions), and the critic's hidden layer."""
-        _, (hidden_actor, hidden_critic) = self._hidden(observations)
-        noise: Floats = torch.randn(len(observations), self.action_size).numpy()
-        actions = hidden_actor @ self._wa.T + self._ba + noise * np.exp(self.log_std)
-        return actions, noise, hidden_critic
+    def noise(self, count: int) -> Floats:
+        """Standard normal numbers for the actions of ``count`` observations, (count, actions), from torch's stream."""
+        noise: Floats = torch.randn(count, self.action_size).numpy()
+        return noise
 
-    def judge(self, noise: Floats, hidden_critic: Floats) -> tuple[Floats, Floats]:
-        """Values and log probabilities, (n,) each, of what ``act`` gave."""
-        log_probs = -(0.5 * np.square(noise) + self.log_std + LOG_SQRT_2_PI).sum(axis=1)
-        return (hidden_critic @ self._wv.T + self._bv)[:, 0], log_probs
+    def act(self, observations: Floats, noise: Floats) -> Floats:
+        """Samples actions, (n, actions)."""
+        _, hidden = self._hidden(observations, ACTOR)
+        actions: Floats = hidden[0] @ self._wa.T + self._ba + noise * np.exp(self.log_std)
+        return actions
+
+    def log_probs(self, noise: Floats) -> Floats:
+        """Log probabilities, (n,), of the actions that ``act`` made of noise."""
+        log_probs: Floats = -(0.5 * np.square(noise) + self.log_std + LOG_SQRT_2_PI).sum(axis=1)
+        return log_probs
 
     def values(self, observations: Floats) -> Floats:
         """The critic's values, (n,)."""
-        _, hidden = self._hidden(observations)
-        values: Floats = (hidden[1] @ self._wv.T + self._bv)[:, 0]
+        _, hidden = self._hidden(observations, CRITIC)
+        values: Floats = (hidden[0] @ self._wv.T + self._bv)[:, 0]
         return values
 
     def differentiate(
@@ -203,7 +210,7 @@ class _Networks:
         count = np.float32(len(batch))
         advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + np.float32(1e-8))
 
-        first, second = self._hidden(observations)
+        first, second = self._hidden(observations, BOTH)
         mean = second[0] @ self._wa.T + self._ba
         value = second[1] @ self._wv[0] + self._bv
         inverse_std = np.exp(-self.log_std)
@@ -257,13 +264,13 @@ class _Networks:
             gradient *= np.float32(max_grad_norm / (norm + 1e-6))
         self._adam.descend(group["lr"], group["betas"], group["eps"])
 
-    def _hidden(self, observations: Floats) -> tuple[Floats, Floats]:
-        """Both hidden layers of both networks, (2, n, units): actor first."""
-        first = np.matmul(observations, self._w1.transpose(0, 2, 1))
-        first += self._b1
+    def _hidden(self, observations: Floats, networks: slice) -> tuple[Floats, Floats]:
+        """Both hidden layers of some networks, (networks, n, units): actor first."""
+        first = np.matmul(observations, self._w1[networks].transpose(0, 2, 1))
+        first += self._b1[networks]
         np.tanh(first, out=first)
-        second = np.matmul(first, self._w2.transpose(0, 2, 1))
-        second += self._b2
+        second = np.matmul(first, self._w2[networks].transpose(0, 2, 1))
+        second += self._b2[networks]
         np.tanh(second, out=second)
         return first, second
 
