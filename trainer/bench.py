@@ -14,9 +14,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ AREAS = (1, 16, 64, 256, 1024, 4096)
 ROUNDS = 5
 SECONDS = 0.6
 TRAIN_STEPS = {"fast": 400_000, "paper": 20_000}
+PLAYERS = ((1, 256), (4, 64))  # as many areas in one player and in several
 START_SECONDS = 20
 MEMORY_AREAS = 1024
 _OTHERS = ("mlagents_envs", "official", "limit")
@@ -139,6 +141,8 @@ def run_bench(json_file: Path | None, plot: Path | None, official: str | None, p
             report["world"].append({"areas": areas, "steps_per_second": _world(areas)})
         status.update("Training with and without curiosity")
         report["train"] = _training(port)
+        status.update("Training with one player and with several")
+        report["players"] = _players(port)
         status.update("Start-up and memory")
         report["startup_seconds"] = _startup()
         report["memory_mb"] = _memory(port)
@@ -166,7 +170,7 @@ def _exchange(areas: int, official: str | None, port: int) -> dict[str, Any]:
             stack.callback(child.close)
             measures[name] = child.rate
         measures["echo"] = stack.enter_context(_echo(areas))
-        measures["limit"] = stack.enter_context(_limit(areas, port + 3))
+        measures["limit"] = stack.enter_context(_limit(1, areas, port + 3))
         rates: dict[str, list[float]] = {name: [] for name in measures}
         for _ in range(ROUNDS):
             for name, measure in measures.items():
@@ -235,27 +239,31 @@ def _serve(answer: Any, port: int) -> tuple[grpc.Server, int]:
 
 
 class _InstantTrainer:
-    """Leads a player through the handshake, then answers each batch with the same STEP while a measurement runs."""
+    """Leads players through the handshake, then answers all of them with the same STEP as soon as each has asked."""
 
-    def __init__(self, areas: int) -> None:
+    def __init__(self, players: int, areas: int) -> None:
         hello, reset, stop = UnityMessageProto(), UnityMessageProto(), UnityMessageProto()
         hello.header.status = reset.header.status = OK
         start = hello.unity_input.rl_initialization_input
         start.seed, start.num_areas, start.communication_version = 1, areas, API_VERSION
         reset.unity_input.rl_input.command = RESET
         stop.header.status = STOP
-        self._opening: list[bytes] = [hello.SerializeToString(), reset.SerializeToString()]
+        opening: list[bytes] = [hello.SerializeToString(), reset.SerializeToString()]
+        self._openings = [list(opening) for _ in range(players)]
         self._step = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
         self._stop: bytes = stop.SerializeToString()
+        self._all_asked = threading.Barrier(players)
         self.ready, self._measuring, self._ended = threading.Event(), threading.Event(), False
         self._exchanges = 0
 
-    def answer(self, request: bytes, context: grpc.ServicerContext) -> bytes:
-        if self._opening:
-            return self._opening.pop(0)
+    def answer(self, player: int, request: bytes, context: grpc.ServicerContext) -> bytes:
+        if self._openings[player]:
+            return self._openings[player].pop(0)
+        with suppress(threading.BrokenBarrierError):  # closed
+            self._all_asked.wait()
         self.ready.set()
         self._measuring.wait()
-        self._exchanges += 1
+        self._exchanges += player == 0
         return self._stop if self._ended else self._step
 
     def rate(self) -> float:
@@ -267,24 +275,24 @@ class _InstantTrainer:
 
     def close(self) -> None:
         self._ended = True
+        self._all_asked.abort()
         self._measuring.set()
 
 
 @contextmanager
-def _limit(areas: int, port: int) -> Iterator[Any]:
-    """A player, as a process, that waits for an answer only as long as gRPC takes to bring it."""
-    trainer = _InstantTrainer(areas)
-    server, port = _serve(trainer.answer, port)
-    command = [launch_path(place(BUILTIN, 0)[0] or ""), "--mlagents-port", str(port)]
-    player = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    try:
+def _limit(players: int, areas: int, port: int) -> Iterator[Any]:
+    """Players, as processes, that wait for an answer only as long as gRPC takes to bring it."""
+    trainer = _InstantTrainer(players, areas)
+    with ExitStack() as stack:
+        for number in range(players):
+            server, listening = _serve(partial(trainer.answer, number), port + number)
+            stack.callback(server.stop, grace=None)
+            command = [launch_path(place(BUILTIN, 0)[0] or ""), "--mlagents-port", str(listening)]
+            stack.callback(subprocess.Popen(command, stderr=subprocess.DEVNULL).wait, 20)
+        stack.callback(trainer.close)
         if not trainer.ready.wait(START_SECONDS):
             raise TrainerError(f"{command[0]} sent no batch within {START_SECONDS} s; run it by hand.")
         yield trainer.rate
-    finally:
-        trainer.close()
-        player.wait(20)
-        server.stop(grace=None)
 
 
 def _world(areas: int) -> float:
@@ -303,27 +311,48 @@ def _world(areas: int) -> float:
 
 
 def _training(port: int) -> list[dict[str, Any]]:
-    summaries: dict[tuple[str, float], list[dict[str, Any]]] = {
-        ("fast", 0.3): [],
-        ("fast", 0.0): [],
-        ("paper", 0.3): [],
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(2):
-            for (preset, c), found in summaries.items():
-                run_id = f"{preset}-c{c}-{number}"
-                command = [sys.executable, "-m", "trainer.main", "train", "--run-id", run_id, "--results-dir", folder]
-                command += ["--preset", preset, "--c", str(c), "--steps", str(TRAIN_STEPS[preset])]
-                command += ["--base-port", str(port), "--eval-episodes", "1"]
-                run = subprocess.run(command, capture_output=True, text=True)
-                if run.returncode:
-                    raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
-                found.append(json.loads((Path(folder) / run_id / "summary.json").read_text()))
+    kinds = (("fast", 0.3), ("fast", 0.0), ("paper", 0.3))
+    summaries = _train_in_turn({(preset, c): ["--preset", preset, "--c", str(c)] for preset, c in kinds}, port)
     measures = ("steps_per_second", "exchange_share")
     return [
         {"c": c, "preset": preset, **{name: statistics.median(each[name] for each in found) for name in measures}}
         for (preset, c), found in summaries.items()
     ]
+
+
+def _players(port: int) -> list[dict[str, Any]]:
+    """Training with as many areas in one player and in several, and what an instant trainer has with them."""
+    kinds = {kind: ["--num-envs", str(kind[0]), "--num-areas", str(kind[1])] for kind in PLAYERS}
+    summaries = _train_in_turn(kinds, port)
+    limits: dict[tuple[int, int], list[float]] = {kind: [] for kind in PLAYERS}
+    for _ in range(ROUNDS):
+        for players, areas in PLAYERS:
+            with _limit(players, areas, port) as rate:
+                limits[players, areas].append(rate() * players * areas)
+    return [
+        {
+            "num_envs": players,
+            "num_areas": areas,
+            "steps_per_second": statistics.median(each["steps_per_second"] for each in summaries[players, areas]),
+            "limit": statistics.median(limits[players, areas]),
+        }
+        for players, areas in PLAYERS
+    ]
+
+
+def _train_in_turn(kinds: Mapping[Any, list[str]], port: int) -> dict[Any, list[dict[str, Any]]]:
+    """Summaries of two runs with each kind's options."""
+    summaries: dict[Any, list[dict[str, Any]]] = {kind: [] for kind in kinds}
+    with tempfile.TemporaryDirectory() as folder:
+        for kind, options in [*kinds.items()] * 2:
+            steps = TRAIN_STEPS["paper" if "paper" in options else "fast"]
+            command = [sys.executable, "-m", "trainer.main", "train", "--run-id", "bench", "--results-dir", folder]
+            command += ["--force", "--steps", str(steps), "--base-port", str(port), "--eval-episodes", "1", *options]
+            run = subprocess.run(command, capture_output=True, text=True)
+            if run.returncode:
+                raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
+            summaries[kind].append(json.loads((Path(folder) / "bench" / "summary.json").read_text()))
+    return summaries
 
 
 def _startup() -> dict[str, float]:
@@ -391,6 +420,11 @@ def _print(report: dict[str, Any], console: Console) -> None:
         console.print(
             f"training, preset {row['preset']}, c = {row['c']:g}: {row['steps_per_second']:,.0f} steps/s, "
             f"{row['exchange_share']:.0%} of the time in the exchange"
+        )
+    for row in report["players"]:
+        console.print(
+            f"training, {row['num_envs']} x {row['num_areas']} areas: {row['steps_per_second']:,.0f} steps/s; "
+            f"limit {row['limit']:,.0f}"
         )
     for name, seconds in report["startup_seconds"].items():
         console.print(f"{name} starts in {seconds:.2f} s")
