@@ -325,9 +325,13 @@ def _players(port: int) -> list[dict[str, Any]]:
     kinds = {kind: ["--num-envs", str(kind[0]), "--num-areas", str(kind[1])] for kind in PLAYERS}
     summaries = _train_in_turn(kinds, port)
     limits: dict[tuple[int, int], list[float]] = {kind: [] for kind in PLAYERS}
-    for _ in range(ROUNDS):
+    with ExitStack() as stack:
+        rates = {}
         for players, areas in PLAYERS:
-            with _limit(players, areas, port) as rate:
+            rates[players, areas] = stack.enter_context(_limit(players, areas, port))
+            port += players
+        for _ in range(ROUNDS):
+            for (players, areas), rate in rates.items():
                 limits[players, areas].append(rate() * players * areas)
     return [
         {
