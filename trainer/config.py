@@ -118,8 +118,8 @@ class CuriosityConfig:
     """
 
     c: float = 0.3
-    scale: float = 4.0
-    feature_size: int = 16
+    scale: float = 3.0
+    feature_size: int = 32
     hidden_size: int = 64
     learning_rate: float = 1e-3
     encoder_rate: float = 0.01
@@ -127,7 +127,7 @@ class CuriosityConfig:
     forward_weight: float = 0.2
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
-    rnd_scale: float = 2.4
+    rnd_scale: float = 1.8
 
 
 OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
@@ -269,9 +269,12 @@ CORRIDOR: dict[str, float] = {
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=64, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area and 128 steps an update, as the Stable Baselines release that the paper used; an eighth of fast's steps
-    # in an update bear a lower rate only (docs/calibration.md).
+    # in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had (docs/studies.md).
     "paper": Preset(
-        num_areas=1, through_gym=True, ppo=PPOConfig(n_steps=128, learning_rate=1e-4), curiosity=CuriosityConfig()
+        num_areas=1,
+        through_gym=True,
+        ppo=PPOConfig(n_steps=128, learning_rate=1e-4),
+        curiosity=CuriosityConfig(feature_size=16, scale=4.0, rnd_scale=2.4),
     ),
 }
 
