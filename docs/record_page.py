@@ -39,6 +39,7 @@ def main(page: Path, episode: str | None) -> None:
         still[0].save(DOCS / "replay.gif", save_all=True, append_images=still[1:], duration=100, loop=0, optimize=True)
         opened.set_viewport_size({"width": 1280, "height": 850})
         opened.evaluate(f"corridor.stage.seek({middle})")
+        opened.evaluate("scrollTo(0, 0)")
         opened.wait_for_timeout(1000)
         whole = Image.open(io.BytesIO(opened.screenshot())).convert("RGB")
         whole.quantize(192, dither=Image.Dither.NONE).save(DOCS / "page.png", optimize=True)
