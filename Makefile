@@ -30,17 +30,17 @@ format: $(INSTALLED)
 
 proto: $(INSTALLED)  ## compile proto/ into the player's descriptor set
 	cd proto && ../$(BIN)/python -m grpc_tools.protoc -I. --include_imports \
-		--descriptor_set_out=../corridor_server/messages.binpb $$(find mlagents_envs -name '*.proto' | sort)
+		--descriptor_set_out=../corridor_server/protocol/messages.binpb $$(find mlagents_envs -name '*.proto' | sort)
 
-page: trainer/page/node_modules  ## bundle the page's sources (needs Node; only to change the page)
-	cd trainer/page && npm run --silent build
+page: trainer/viewer/page/node_modules  ## bundle the page's sources (needs Node; only to change the page)
+	cd trainer/viewer/page && npm run --silent build
 
-trainer/page/node_modules: trainer/page/package-lock.json
-	cd trainer/page && npm ci
+trainer/viewer/page/node_modules: trainer/viewer/page/package-lock.json
+	cd trainer/viewer/page && npm ci
 	touch $@
 
 docs: $(INSTALLED)  ## write docs/parameters.md's table from the code
-	$(BIN)/python -c "from pathlib import Path; from corridor_server.config import parameter_table; \
+	$(BIN)/python -c "from pathlib import Path; from corridor_server.corridor.corridor_config import parameter_table; \
 		path = Path('docs/parameters.md'); text = path.read_text(); \
 		path.write_text(text[:text.index('| name')] + parameter_table() + '\n')"
 

@@ -9,4 +9,4 @@ from importlib.util import find_spec
 if find_spec("gymnasium") is not None:  # the player runs without it
     from gymnasium.envs.registration import register
 
-    register(id="Corridor-v0", entry_point="corridor_server.gym_env:CorridorEnv")
+    register(id="Corridor-v0", entry_point="corridor_server.corridor.gym_env:CorridorEnv")

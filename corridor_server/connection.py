@@ -5,7 +5,7 @@ import time
 
 import grpc
 
-from corridor_server.messages import API_VERSION, EXCHANGE
+from corridor_server.protocol.messages import API_VERSION, EXCHANGE
 
 MAX_MESSAGE_BYTES = 256 * 2**20
 PARENT_SECONDS = 0.5

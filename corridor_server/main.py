@@ -10,8 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from corridor_server.config import CorridorConfig
 from corridor_server.connection import Connection, ConnectionFailed
+from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player, PlayerError
 
 EDITOR_PORT = 5004

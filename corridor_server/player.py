@@ -3,12 +3,12 @@
 import logging
 from typing import Any
 
-from corridor_server import side_channels, wire
-from corridor_server.areas import Areas, Batch
-from corridor_server.config import CorridorConfig
 from corridor_server.connection import Connection, ConnectionFailed
-from corridor_server.messages import API_VERSION, QUIT
-from corridor_server.side_channels import SideChannelError
+from corridor_server.corridor.areas import Areas, Batch
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.protocol import side_channels, wire
+from corridor_server.protocol.messages import API_VERSION, QUIT
+from corridor_server.protocol.side_channels import SideChannelError
 
 logger = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import trainer  # noqa: F401 - makes mlagents_envs importable
-from corridor_server import world
-from corridor_server.config import CorridorConfig
-from corridor_server.parameters import EpisodeParameters
+from corridor_server.corridor import world
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.parameters import EpisodeParameters
 
 BIN = Path(sys.executable).parent
 
@@ -61,7 +61,7 @@ def free_port() -> int:
 @pytest.fixture
 def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., object]]:
     """Opens our player through the real UnityEnvironment; closes what was opened."""
-    from trainer.unity import open_environment
+    from trainer.players.environment import open_environment
 
     opened = []
 

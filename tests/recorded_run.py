@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trainer.config import RunConfig
 from trainer.main import Train
-from trainer.results import RunFolder
+from trainer.runs.folder import RunFolder
 
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -27,8 +27,8 @@ from trainer.config import (
     preset_run,
 )
 from trainer.errors import TrainerError
-from trainer.player_settings import check_ranges, engine_config, environment_parameters, read_settings
-from trainer.results import RunFolder
+from trainer.players.settings import check_ranges, engine_config, environment_parameters, read_settings
+from trainer.runs.folder import RunFolder
 from trainer.signals import interrupt_on_every_signal
 
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
@@ -445,30 +445,30 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
             return _generalise(command.what, typed)
         return _study(command.what, typed)
     if isinstance(command, Bench):
-        from trainer.bench import run_bench
+        from trainer.bench.measure import run_bench
 
         run_bench(command.json, command.plot, command.official, command.base_port, Console())
         return 0
     if isinstance(command, Check):
-        from trainer.conformance.check import check_player
+        from trainer.conformance.checker import check_player
 
         return 0 if check_player(command.env, command.timeout_wait, Console()) else 1
     if isinstance(command, Watch):
-        from trainer.watch import watch
+        from trainer.viewer.page_server import watch
 
         watch(command.results_dir, command.port, Console())
         return 0
     if isinstance(command, Train):
         config, limits = command.run_config(), command.restart_limits()
-        from trainer.unity import check_launchable
+        from trainer.players.environment import check_launchable
 
         check_launchable(config.env)  # a bad player or file is refused before a folder is made
         if command.from_sb3 is not None and not command.resume:
-            from trainer.sb3_zip import read_sb3_policy
+            from trainer.learning.sb3_zip import read_sb3_policy
 
             read_sb3_policy(command.from_sb3)
         folder = RunFolder.prepare(config, command.results_dir, resume=command.resume, force=command.force)
-        from trainer import run  # torch takes seconds to import, and an error before it should not
+        from trainer.runs import run  # torch takes seconds to import, and an error before it should not
 
         finished = run.train_run(
             config,
@@ -486,7 +486,7 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
     folder = RunFolder.find(command.run, command.results_dir)
     config = folder.read_config()
     if isinstance(command, Export):
-        from trainer.export import export_run
+        from trainer.runs.onnx_file import export_run
 
         export_run(config, folder, command.onnx)
         Console().print(f"Wrote {command.onnx}", highlight=False, soft_wrap=True)
@@ -495,7 +495,7 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
         config = dataclasses.replace(config, env=command.env)
     if command.episodes < 1:
         raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
-    from trainer import run
+    from trainer.runs import run
 
     run.evaluate_run(
         config,
@@ -511,7 +511,7 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
 def _study(options: StudyOptions, typed: str) -> int:
     options.check()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # stop as for Ctrl-C
-    from trainer.studies import executors, plan, study
+    from trainer.studies import conduct, executors, plan
     from trainer.studies.ray_executor import RayExecutor
     from trainer.studies.store import Store
 
@@ -521,7 +521,7 @@ def _study(options: StudyOptions, typed: str) -> int:
         executor = RayExecutor(options.address)
     else:
         executor = executors.LocalExecutor(options.jobs or os.cpu_count() or 1)
-    finished = study.run_study(
+    finished = conduct.run_study(
         studies[options.name],
         executor,
         Store(options.results_dir),
@@ -559,8 +559,8 @@ def _generalise(options: Generalise, typed: str) -> int:
 def _replay(command: Replay) -> int:
     if command.episodes < 1:
         raise TrainerError(f"--episodes is {command.episodes}, but 1 or more was expected.")
-    from trainer.replay import replay_run
-    from trainer.study_page import is_study, write_study_page
+    from trainer.viewer.replay_files import replay_run
+    from trainer.viewer.study_page import is_study, write_study_page
 
     for study in (command.results_dir / command.run, Path(command.run)):
         if is_study(study):

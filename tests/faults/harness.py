@@ -1,4 +1,4 @@
-"""What breaks a training run, and what is looked at afterwards; for tests/test_faults.py and campaign.py."""
+"""What breaks a training run, and what is looked at afterwards; for tests/runs/test_faults.py and campaign.py."""
 
 import csv
 import ctypes
@@ -17,7 +17,7 @@ from typing import Any
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from trainer.checkpoint import checkpoints, from_bytes
+from trainer.runs.checkpoint import checkpoints, from_bytes
 
 BIN = Path(sys.executable).parent
 TIMING = {"steps_per_second", "wall_seconds"}

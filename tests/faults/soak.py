@@ -48,8 +48,8 @@ def exchange(steps: int, port: int) -> Iterator[list[float | str]]:
     from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
     import trainer  # noqa: F401 - makes mlagents_envs importable
-    from trainer.unity import open_environment
-    from trainer.vec_env import UnityVecEnv
+    from trainer.players.environment import open_environment
+    from trainer.players.vec_env import UnityVecEnv
 
     areas = 4096
     with tempfile.TemporaryDirectory() as folder:

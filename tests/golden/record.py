@@ -1,4 +1,4 @@
-"""Records the conversation that tests/test_wire.py replays: ``python tests/golden/record.py`` after a wanted change.
+"""Records what tests/protocol/test_wire.py replays: ``python tests/golden/record.py`` after a wanted change.
 
 A line is ``player`` or ``trainer`` and a message's bytes in base64. It covers the handshake, parameters as a float and
 as a sampler, actions in both fields, ended and interrupted episodes, a reset in mid-episode, a camera, and QUIT.
@@ -9,13 +9,13 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from corridor_server.config import CorridorConfig
 from corridor_server.connection import Connection
-from corridor_server.messages import QUIT, RESET
+from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player
-from corridor_server.side_channels import ENVIRONMENT_PARAMETERS, message
+from corridor_server.protocol.messages import QUIT, RESET
+from corridor_server.protocol.side_channels import ENVIRONMENT_PARAMETERS, message
+from trainer.conformance.channels import environment_parameter
 from trainer.conformance.raw_trainer import RawTrainer, command, initialization, step
-from trainer.conformance.side_channels import environment_parameter
 
 RECORD = Path(__file__).with_name("conversation.txt")
 BEHAVIOR = "Corridor?team=0"

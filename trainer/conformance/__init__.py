@@ -7,12 +7,12 @@ given by its path. The trainer they use, ``raw_trainer``, knows nothing but the 
 
 from trainer.conformance.actions import Actions
 from trainer.conformance.bad_peers import BadPeers
+from trainer.conformance.channels import SideChannels
 from trainer.conformance.contract import CorridorContract
 from trainer.conformance.episodes import Episodes
 from trainer.conformance.handshake import Handshake
 from trainer.conformance.reset import Reset
 from trainer.conformance.shutdown import Shutdown
-from trainer.conformance.side_channels import SideChannels
 from trainer.conformance.suite import Conformance, NotApplicable
 from trainer.conformance.visual import VisualObservations
 

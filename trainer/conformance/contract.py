@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from corridor_server import side_channels as channels
-from corridor_server.config import CorridorConfig
-from trainer.conformance.side_channels import environment_parameter
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.protocol import side_channels as channels
+from trainer.conformance.channels import environment_parameter
 from trainer.conformance.suite import (
     Conformance,
     NotApplicable,

@@ -1,6 +1,6 @@
 """How a connection begins."""
 
-from corridor_server.messages import API_VERSION
+from corridor_server.protocol.messages import API_VERSION
 from trainer.conformance.raw_trainer import OK, initialization, stopping
 from trainer.conformance.suite import Conformance, agents
 

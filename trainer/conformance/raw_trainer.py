@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from corridor_server.messages import API_VERSION, QUIT, RESET, SERVICE, STEP, UnityMessageProto
+from corridor_server.protocol.messages import API_VERSION, QUIT, RESET, SERVICE, STEP, UnityMessageProto
 
 OK, STOP = 200, 400
 

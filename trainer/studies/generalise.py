@@ -24,20 +24,20 @@ from rich.progress import Progress
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from trainer.checkpoint import checkpoints
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
-from trainer.evaluation import evaluate, summarise
-from trainer.player_settings import corridor_of
-from trainer.players import open_player
-from trainer.results import RunFolder
-from trainer.run import EVALUATION_SEED_OFFSET
+from trainer.players.environment import BUILTIN
+from trainer.players.settings import corridor_of
+from trainer.players.several import open_player
+from trainer.runs.checkpoint import checkpoints
+from trainer.runs.evaluation import evaluate, summarise
+from trainer.runs.folder import RunFolder
+from trainer.runs.run import EVALUATION_SEED_OFFSET
+from trainer.runs.training import build_stages, load_trained
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED
 from trainer.studies.executors import free_port
-from trainer.studies.figures import new_figure, save
-from trainer.training import build_stages, load_trained
-from trainer.unity import BUILTIN
+from trainer.studies.plots import new_figure, save
 
 AREAS = 64
 OWN, PER_OPPONENT, DISTANCE = 8, 5, 2  # eq. 10's observation: the learner's part, an opponent's, p_op before d_op

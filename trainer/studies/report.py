@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from trainer.studies import figures
+from trainer.studies import plots
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS
 from trainer.studies.executors import Outcome
@@ -198,13 +198,13 @@ class Report:
     def _write_figures(self, folder: Path) -> None:
         labels = {arm.name: arm.label for arm in self.study.arms}
         for spec in self.study.figures:
-            for letter, column, title, unit in figures.PANELS:
+            for letter, column, title, unit in plots.PANELS:
                 generator = np.random.default_rng(BOOTSTRAP_SEED)
-                figure = figures.learning_curves(self.runs, spec.colours, labels, column, title, unit, generator)
-                figures.save(figure, folder / f"{spec.name}{letter}.png")
+                figure = plots.learning_curves(self.runs, spec.colours, labels, column, title, unit, generator)
+                plots.save(figure, folder / f"{spec.name}{letter}.png")
         for dose in self.study.doses:
-            figure = figures.dose_response(self.runs, dose, np.random.default_rng(BOOTSTRAP_SEED))
-            figures.save(figure, folder / f"{dose.name}.png")
+            figure = plots.dose_response(self.runs, dose, np.random.default_rng(BOOTSTRAP_SEED))
+            plots.save(figure, folder / f"{dose.name}.png")
 
     def _markdown(self, claims: list[dict[str, Any]]) -> str:
         sections = [self._headline(), self._claims_section(claims), self._results_section(), *self._figure_sections()]
@@ -258,7 +258,7 @@ class Report:
             [
                 f"## {spec.title}",
                 "",
-                *(f"![{title}]({spec.name}{letter}.png)\n" for letter, _, title, _ in figures.PANELS),
+                *(f"![{title}]({spec.name}{letter}.png)\n" for letter, _, title, _ in plots.PANELS),
                 "Thick: interquartile mean over seeds; band: its 95% bootstrap interval; thin: single runs.",
             ]
             for spec in self.study.figures

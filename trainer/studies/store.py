@@ -11,7 +11,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
-from trainer.results import RunFolder
+from trainer.runs.folder import RunFolder
 from trainer.studies.results import RunResult
 
 READ = ("configuration.yaml", "summary.json", "progress.csv")

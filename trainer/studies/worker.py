@@ -13,7 +13,7 @@ from pathlib import Path
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
-from trainer.results import RunFolder
+from trainer.runs.folder import RunFolder
 
 
 def main() -> int:
@@ -23,7 +23,7 @@ def main() -> int:
     config = RunConfig.from_dict(order["config"])
     try:
         folder = RunFolder.prepare(config, Path(order["folder"]), resume=False, force=False)
-        from trainer.run import train_run
+        from trainer.runs.run import train_run
 
         finished = train_run(
             config,

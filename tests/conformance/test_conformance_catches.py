@@ -1,0 +1,178 @@
+"""The kit's own test: players with one fault each, and the sentence that must fail."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import BIN
+
+from trainer import conformance
+from trainer.conformance.checker import Result, check, sentences
+
+PLAYER = """#!{python}
+import sys
+import numpy as np
+from corridor_server import player
+from corridor_server.corridor import areas, world
+from corridor_server.protocol import wire
+from corridor_server.main import main
+{fault}
+sys.exit(main())
+"""
+
+FAULTS = {
+    "reused ids": (
+        conformance.Episodes,
+        "every_episode_has_an_id_that_was_not_used_before",
+        """
+begin = areas.Areas._begin
+def begin_with_old_ids(self, rows):
+    ids = self._ids.copy()
+    begin(self, rows)
+    if ids.any():
+        self._ids[:] = ids
+areas.Areas._begin = begin_with_old_ids
+""",
+    ),
+    "swapped action order": (
+        conformance.CorridorContract,
+        "each_action_reaches_the_agent_that_asked_in_that_place",
+        "checked = wire._checked\nwire._checked = lambda actions, count: checked(actions, count)[::-1]",
+    ),
+    "reward not reset": (
+        conformance.CorridorContract,
+        "a_step_far_from_everything_costs_a_thousandth",
+        """
+step = world.step
+def step_adding_up(p, state, action):
+    state, outcome = step(p, state, action)
+    outcome.reward[:] = np.where(outcome.ended, outcome.reward, state.episode_return)
+    return state, outcome
+world.step = step_adding_up
+""",
+    ),
+    "missing terminal message": (
+        conformance.Episodes,
+        "an_agent_keeps_its_id_until_it_has_ended",
+        """
+output = wire.output
+nobody = np.zeros(0, dtype=np.intp)
+def output_of_the_living(batch, *rest):
+    return output(areas.Batch(batch.deciding, batch.ended.rows(nobody), batch.interrupted[:0], {}), *rest)
+wire.output = output_of_the_living
+""",
+    ),
+    "terminal reward lost": (
+        conformance.CorridorContract,
+        "a_failed_episode_pays_the_penalty_with_its_last_reward",
+        """
+output = wire.output
+def output_without_last_rewards(batch, *rest):
+    batch.ended.rewards[:] = 0
+    return output(batch, *rest)
+wire.output = output_without_last_rewards
+""",
+    ),
+    "brain parameters late": (
+        conformance.Handshake,
+        "every_behavior_is_introduced_in_the_message_that_has_its_first_agents",
+        """
+output, sent = wire.output, []
+def output_introducing_late(batch, side_channel, introduce, camera):
+    sent.append(batch)
+    return output(batch, side_channel, len(sent) == 2, camera)
+wire.output = output_introducing_late
+""",
+    ),
+    "wrong shape": (
+        conformance.Episodes,
+        "observations_have_as_many_values_as_their_shape_says",
+        """
+output = wire.output
+def output_with_another_shape(*arguments):
+    message = wire.UnityMessageProto.FromString(output(*arguments))
+    for info in message.unity_output.rl_output.agentInfos[wire.BEHAVIOR].value:
+        info.observations[0].shape[0] += 1
+    return message.SerializeToString()
+wire.output = output_with_another_shape
+""",
+    ),
+    "ignoring QUIT": (
+        conformance.Shutdown,
+        "quit_ends_the_player_with_code_0",
+        "wire._ends = lambda message: message.header.status != wire.OK\nwire.STEP = 2  # QUIT, taken for a STEP",
+    ),
+    "ignoring num_areas": (
+        conformance.Handshake,
+        "the_number_of_areas_is_the_trainers",
+        "make = player.Areas\nplayer.Areas = lambda config, seed, numbers, camera: make(config, seed, [0], camera)",
+    ),
+    "stale observation after reset": (
+        conformance.CorridorContract,
+        "a_reset_in_mid_episode_shows_a_new_start",
+        """
+reset = areas.Areas.reset
+def reset_showing_the_past(self):
+    past = world.observation(self.parameters.columns, self.state)
+    batch = reset(self)
+    if past.any():
+        batch.deciding.observations[:] = past
+    return batch
+areas.Areas.reset = reset_showing_the_past
+""",
+    ),
+}
+
+
+def failures(topic: type[conformance.Conformance], name: str, player: Path) -> list[Result]:
+    """Runs one sentence of a topic on a player."""
+    assert f"test_{name}" in sentences(topic)
+    others = {other: None for other in sentences(topic) if other != f"test_{name}"}
+    only = type(topic.__name__, (topic,), {**others, "__doc__": topic.__doc__})
+    results: list[Result] = []
+
+    def start(port: int, *arguments: str) -> "subprocess.Popen[bytes]":
+        return subprocess.Popen([str(player), "--mlagents-port", str(port), *arguments])
+
+    check([only], start, results.append)
+    assert len(results) == 1
+    return [result for result in results if result.verdict == "fail"]
+
+
+def write_player(folder: Path, fault: str) -> Path:
+    path = folder / "player"
+    path.write_text(PLAYER.format(python=sys.executable, fault=fault))
+    path.chmod(0o755)
+    return path
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_player_with_one_fault_fails_its_sentence(fault, tmp_path):
+    topic, name, code = FAULTS[fault]
+    found = failures(topic, name, write_player(tmp_path, code))
+    assert found, f"{fault}: nothing failed"
+    assert found[0].detail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["wrong shape"])
+def test_corridor_check_prints_a_table_and_fails(fault, tmp_path):
+    player = write_player(tmp_path, FAULTS[fault][2])
+    run = subprocess.run([BIN / "corridor", "check", "--env", player], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 1, run.stdout
+    assert "fail" in run.stdout
+    assert "shape [14] with 13 values" in " ".join(run.stdout.replace("│", " ").split())
+
+
+def test_corridor_check_of_nothing_says_so(tmp_path):
+    run = subprocess.run([BIN / "corridor", "check", "--env", tmp_path / "none"], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "There is no player" in run.stderr
+
+
+def test_corridor_check_of_a_program_that_is_no_player_says_so():
+    arguments = ["check", "--env", "/bin/true", "--timeout-wait", "1"]
+    run = subprocess.run([BIN / "corridor", *arguments], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "The player does not play: the player sent nothing for 1 s" in run.stderr

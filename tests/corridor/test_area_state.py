@@ -1,0 +1,97 @@
+"""A player's areas written down and taken up again: what follows is the same, bit for bit."""
+
+import numpy as np
+import pytest
+
+from corridor_server.corridor.areas import Areas, Batch
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.parameters import Gaussian, Uniform
+from corridor_server.protocol import side_channels
+
+CONFIG = CorridorConfig(num_opponents=2)
+
+
+def actions(generator: np.random.Generator, count: int) -> np.ndarray:
+    return generator.uniform(-1, 1, (count, 2)).astype(np.float32)
+
+
+def equal(one: Batch, other: Batch) -> bool:
+    parts = [(one.deciding, other.deciding), (one.ended, other.ended)]
+    same = all(
+        np.array_equal(getattr(a, name), getattr(b, name))
+        for a, b in parts
+        for name in ("ids", "observations", "rewards")
+    )
+    return same and all(np.array_equal(one.statistics[name], other.statistics[name]) for name in one.statistics)
+
+
+def saved(areas: Areas) -> bytes:
+    [(_, payload)] = side_channels.split(side_channels.write_state(areas.snapshot()))
+    return payload
+
+
+def sampled(seed: int, count: int = 5) -> Areas:
+    areas = Areas(CONFIG, seed, range(count))
+    areas.set_parameter("opponent_speed", Uniform(3, 0.5, 2.0))
+    areas.set_parameter("goal_z", Gaussian(4, 0.0, 1.0))
+    areas.set_parameter("max_episode_steps", 30.0)
+    return areas
+
+
+def test_restored_areas_go_on_as_those_that_were_saved():
+    areas, generator = sampled(seed=1), np.random.default_rng(0)
+    areas.reset()
+    for _ in range(100):
+        last = areas.step(actions(generator, 5))
+    payload = saved(areas)
+
+    restored = sampled(seed=99)
+    restored.restore(side_channels.read_state(payload, restored.snapshot()))
+    shown = restored.reset()
+    assert np.array_equal(shown.deciding.ids, last.deciding.ids)
+    assert np.array_equal(shown.deciding.observations, last.deciding.observations)
+    assert equal(restored.reset(), shown)  # resets keep what has not moved
+    ended = 0
+    for _ in range(200):
+        chosen = actions(generator, 5)
+        one, other = areas.step(chosen), restored.step(chosen)
+        assert equal(one, other)
+        ended += len(one.ended.ids)
+    assert ended > 20
+    assert saved(areas) == saved(restored)
+
+
+def test_a_snapshot_changes_nothing():
+    watched, alone = sampled(seed=1), sampled(seed=1)
+    watched.reset()
+    alone.reset()
+    generator = np.random.default_rng(0)
+    for _ in range(100):
+        chosen = actions(generator, 5)
+        watched.snapshot()
+        assert equal(watched.step(chosen), alone.step(chosen))
+
+
+def test_after_a_restored_episode_has_moved_a_reset_begins_another():
+    areas, restored = sampled(seed=1), sampled(seed=2)
+    areas.reset()
+    restored.restore(side_channels.read_state(saved(areas), restored.snapshot()))
+    first = restored.reset()
+    restored.step(np.zeros((5, 2), np.float32))
+    assert not np.intersect1d(restored.reset().deciding.ids, first.deciding.ids).size
+
+
+@pytest.mark.parametrize("other", [sampled(1, count=6), Areas(CONFIG, 1, range(5)), Areas(CorridorConfig(), 1, [0])])
+def test_the_state_of_other_areas_is_refused(other):
+    with pytest.raises(side_channels.SideChannelError, match="saved with other settings or by another version"):
+        side_channels.read_state(saved(sampled(1)), other.snapshot())
+
+
+def test_a_state_with_numbers_that_are_not_finite_is_refused():
+    areas = sampled(1)
+    areas.reset()
+    rows = areas.snapshot()
+    rows["position"][2] = np.nan
+    [(_, payload)] = side_channels.split(side_channels.write_state(rows))
+    with pytest.raises(side_channels.SideChannelError, match="'position' that is NaN or infinite"):
+        side_channels.read_state(payload, areas.snapshot())

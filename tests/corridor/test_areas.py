@@ -1,0 +1,135 @@
+"""Agents across episodes: ids, rewards, ends, and what a reset keeps."""
+
+import numpy as np
+import pytest
+
+from corridor_server.corridor.areas import Areas
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform
+
+IDLE = np.zeros((3, 2), np.float32)
+
+
+def areas(count: int = 3, **config: float) -> Areas:
+    return Areas(CorridorConfig(**config), 0, range(count))  # type: ignore[arg-type]
+
+
+def test_every_episode_has_an_id_of_its_own():
+    corridor = areas(max_episode_steps=4)
+    seen = list(corridor.reset().deciding.ids)
+    for _ in range(20):
+        batch = corridor.step(IDLE)
+        if len(batch.ended.ids):
+            seen += list(batch.deciding.ids)
+    assert len(seen) == len(set(seen)) == 18
+
+
+def test_an_ended_agent_and_its_successor_come_in_one_batch():
+    corridor = areas(max_episode_steps=1)
+    first = corridor.reset()
+    batch = corridor.step(IDLE)
+    assert np.array_equal(batch.ended.ids, first.deciding.ids)
+    assert batch.interrupted.all()
+    assert not set(batch.ended.ids) & set(batch.deciding.ids)
+    assert (batch.deciding.rewards == 0).all()
+    assert np.allclose(batch.ended.rewards, -0.001)
+    assert not np.array_equal(batch.ended.observations, batch.deciding.observations)
+
+
+def test_statistics_come_with_every_end_and_only_then():
+    corridor = areas(max_episode_steps=2)
+    corridor.reset()
+    assert corridor.step(IDLE).statistics == {}
+    statistics = corridor.step(IDLE).statistics
+    assert list(statistics["Episode Length"]) == [2, 2, 2]
+    assert list(statistics["Success"]) == [0, 0, 0]
+
+
+def test_a_reset_in_mid_episode_begins_new_episodes():
+    corridor = areas()
+    first = corridor.reset().deciding
+    corridor.step(IDLE)
+    assert not np.array_equal(corridor.reset().deciding.observations, first.observations)
+
+
+def test_two_resets_begin_two_episodes():
+    corridor = areas()
+    assert not np.array_equal(corridor.reset().deciding.observations, corridor.reset().deciding.observations)
+
+
+def test_a_reset_after_an_end_keeps_the_episode_that_already_began():
+    corridor = areas(max_episode_steps=1)
+    corridor.reset()
+    begun = corridor.step(IDLE).deciding
+    again = corridor.reset().deciding
+    assert np.array_equal(begun.ids, again.ids)
+    assert np.array_equal(begun.observations, again.observations)
+
+
+def test_a_parameter_takes_effect_at_the_next_episode():
+    corridor = areas(max_episode_steps=2)
+    corridor.reset()
+    corridor.set_parameter("goal_x", 5.0)
+    assert corridor.step(IDLE).deciding.observations[:, 4] == pytest.approx(0.9)
+    assert corridor.step(IDLE).deciding.observations[:, 4] == pytest.approx(0.5)
+
+
+def test_a_parameter_set_after_an_end_reaches_the_next_reset():
+    corridor = areas(max_episode_steps=1)
+    corridor.reset()
+    corridor.step(IDLE)
+    corridor.set_parameter("goal_x", 5.0)
+    assert corridor.reset().deciding.observations[:, 4] == pytest.approx(0.5)
+
+
+def test_a_parameter_that_is_set_again_to_the_same_changes_nothing():
+    corridor = areas(max_episode_steps=1)
+    corridor.set_parameter("goal_x", 5.0)
+    corridor.reset()
+    begun = corridor.step(IDLE).deciding
+    corridor.set_parameter("goal_x", 5.0)
+    assert np.array_equal(corridor.reset().deciding.ids, begun.ids)
+
+
+def test_a_ranges_own_name_sets_both_its_ends():
+    corridor = areas()
+    corridor.set_parameter("agent_spawn_x", -3.5)
+    assert corridor.reset().deciding.observations[:, 0] == pytest.approx(-0.35)
+    corridor.set_parameter("agent_spawn_x_max", -1.0)
+    assert len(set(corridor.reset().deciding.observations[:, 0])) == 3
+
+
+@pytest.mark.parametrize(
+    ("sampler", "low", "high"),
+    [
+        (Uniform(1, 4.0, 6.0), 0.4, 0.6),
+        (Gaussian(1, 5.0, 0.1), 0.45, 0.55),
+        (MultiRangeUniform(1, ((2.0, 2.5), (7.0, 7.5))), 0.2, 0.75),
+    ],
+)
+def test_samplers_draw_anew_for_every_episode_and_area(sampler, low, high):
+    corridor = areas(50)
+    corridor.set_parameter("goal_x", sampler)
+    drawn = np.concatenate([corridor.reset().deciding.observations[:, 4] for _ in range(4)])
+    assert len(set(drawn)) == 200
+    assert low <= drawn.min() < drawn.max() <= high
+    if isinstance(sampler, MultiRangeUniform):
+        inside = (drawn <= 0.25) | (drawn >= 0.7)
+        assert inside.all()
+        assert 40 < (drawn < 0.5).sum() < 160
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("gaol_x", 1.0, "is not an environment parameter of the corridor; the nearest is goal_x, -1000 to 1000."),
+        ("num_opponents", 2.0, "'num_opponents' is not an environment parameter"),
+        ("agent_speed", -1.0, "agent_speed = -1 is out of its range, 0 to 100"),
+        ("agent_speed", float("nan"), "out of its range"),
+        ("agent_speed", Uniform(0, 1.0, 1e9), "agent_speed = 1e+09 is out of its range"),
+    ],
+)
+def test_what_cant_be_set_says_why(name, value, says):
+    with pytest.raises(ValueError, match="range|not an environment") as error:
+        areas().set_parameter(name, value)
+    assert says in str(error.value)

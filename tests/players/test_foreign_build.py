@@ -1,0 +1,118 @@
+"""A build that shares no code with this package, swapped in through ``--env``, and what its author can get wrong."""
+
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import onnxruntime
+import pytest
+import yaml
+from conftest import BIN
+
+BUILD = Path(__file__).parents[1] / "foreign" / "Corridor.x86_64"
+
+
+def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}"}  # the build runs on the first python3 found
+    command = [str(BIN / "corridor"), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=environment)
+
+
+def train(results: Path, port: int, *arguments: object, env: Path = BUILD) -> subprocess.CompletedProcess[str]:
+    given = ("--run-id", "r", "--results-dir", results, "--base-port", port, "--env", env)
+    return corridor("train", *given, *arguments)
+
+
+def test_the_build_shares_no_code_with_the_package():
+    imported = set(re.findall(r"^(?:import|from) (\w+)", BUILD.read_text(), re.MULTILINE))
+    assert imported == {"argparse", "grpc", "math", "random", "signal", "struct", "subprocess", "sys", "uuid"}
+
+
+@pytest.mark.slow
+def test_the_build_keeps_the_protocol_and_the_contract():
+    done = corridor("check", "--env", BUILD)
+    assert done.returncode == 0, done.stdout
+    assert "0 fail" in done.stdout
+
+
+def test_two_processes_of_it_train_with_parameters_and_engine_settings(tmp_path, free_port):
+    (tmp_path / "settings.yaml").write_text("environment_parameters: {opponent_speed: 1.5, goal_x: 8}")
+    options = ("--num-envs", 2, "--num-areas", 8, "--steps", 12_000, "--eval-episodes", 8, "--time-scale", 7)
+    given = ("--config", tmp_path / "settings.yaml", "--env-param", "goal_x=8.5")
+    done = train(tmp_path, free_port, *options, *given)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "r" / "summary.json").read_text())
+    assert summary["env_steps"] >= 12_000
+    assert summary["restarts"] == 0
+    assert summary["evaluation"]["success_rate"] is not None
+    assert summary["evaluation"]["mean_return"] < 0
+    seeds = set()
+    for number in range(2):
+        log = (tmp_path / "r" / "run_logs" / f"Player-{number}.log").read_text()
+        for line in ("time scale 7", "parameter opponent_speed: 1.5", "parameter goal_x: 8.5", ", 8 agents,", "over"):
+            assert line in log
+        seeds |= set(re.findall(r"^seed (\d+)", log))
+    assert len(seeds) == 2
+
+
+def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
+    own = ("--env-args", "--behavior", "Drive", "--discrete", "3", "3", "--two-sensors")
+    done = train(tmp_path, free_port, "--c", 0, "--num-areas", 8, "--steps", 2_000, "--eval-episodes", 2, *own)
+    assert done.returncode == 0, done.stderr
+    record = yaml.safe_load((tmp_path / "r" / "configuration.yaml").read_text())
+    assert record["run"]["env_args"] == list(own[1:])
+    assert record["behavior"]["discrete_branches"] == [3, 3]
+    done = corridor("export", tmp_path / "r", "--onnx", tmp_path / "Drive.onnx")
+    assert done.returncode == 0, done.stderr
+    model = onnxruntime.InferenceSession(str(tmp_path / "Drive.onnx"))
+    assert [(each.name, each.shape[1]) for each in model.get_inputs()] == [
+        ("obs_0", 6), ("obs_1", 7), ("action_masks", 6),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (
+            ("--behaviors", 2),
+            r"has 2 behaviors \(Corridor\?team=0, Corridor1\?team=0\), but one was expected; give all agents the same",
+        ),
+        (("--discrete", 3), "1 discrete branches, but 2 continuous .*; set Continuous Actions to 2 and Discrete"),
+        (("--observations", 11), r"observations of shapes \[\(11,\)\], .*; set the vector observation's Space Size"),
+        (("--agents", 2), "has 2 agents, but preset paper trains one, .*; leave one agent in the scene, or take"),
+    ],
+)
+def test_a_scene_that_does_not_fit(tmp_path, free_port, options, says):
+    done = train(tmp_path, free_port, "--preset", "paper", "--env-args", *options)
+    message = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 1
+    assert message.startswith("error: ")
+    assert re.search(says, message), message
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("Corridor.exe", b"MZ", "is a build for Windows, but this machine runs Linux; choose Linux as the target"),
+        ("Corridor.app", b"", "is a build for macOS, but this machine runs Linux"),
+        ("Corridor.x86_64", b"\x7fELF of another processor", "does not run on this machine .*; build the player for"),
+    ],
+)
+def test_a_build_for_another_platform(tmp_path, free_port, name, content, says):
+    path = tmp_path / name
+    path.write_bytes(content)
+    path.chmod(0o755)
+    done = train(tmp_path, free_port, env=path)
+    message = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 1
+    assert message.startswith("error: ")
+    assert re.search(says, message), message
+
+
+def test_a_builds_folder_instead_of_its_executable(tmp_path, free_port):
+    (tmp_path / "build").mkdir()
+    done = train(tmp_path, free_port, env=tmp_path / "build")
+    assert done.returncode == 1
+    assert "is a folder; give the path of the executable in it." in done.stderr

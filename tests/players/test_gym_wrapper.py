@@ -1,0 +1,165 @@
+"""UnityToGymWrapper: Unity's name, arguments and checks, Gymnasium's five-tuple."""
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from mlagents_envs.base_env import ActionSpec
+from scripted import Scripted, spec
+
+from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
+
+CONTINUOUS = ActionSpec.create_continuous(2)
+ONE: tuple[dict[int, float], dict[int, tuple[float, bool]]] = ({1: 0.0}, {})
+
+
+def wrap(
+    *messages: object, shapes=((3,),), actions=CONTINUOUS, **options: object
+) -> tuple[UnityToGymWrapper, Scripted]:
+    environment = Scripted(spec(list(shapes), actions), [ONE, *messages])
+    return UnityToGymWrapper(environment, **options), environment
+
+
+def test_a_step_gives_observation_reward_and_no_end():
+    env, environment = wrap(({1: 0.5}, {}))
+    first, _ = env.reset()
+    assert first == pytest.approx([1.0, 1.0, 1.0])
+    observation, reward, terminated, truncated, info = env.step([0.25, -1.0])
+    assert observation == pytest.approx([1.01, 1.01, 1.01])
+    assert (reward, terminated, truncated) == (0.5, False, False)
+    assert len(info["step"]) == 1
+    assert environment.sent[0].continuous.tolist() == [[0.25, -1.0]]
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_an_interrupted_end_is_truncated_and_any_other_terminated(interrupted):
+    env, _ = wrap(({2: 0.0}, {1: (-1.0, interrupted)}))
+    env.reset()
+    observation, reward, terminated, truncated, _ = env.step([0.0, 0.0])
+    assert observation == pytest.approx([1.01, 1.01, 1.01]), "the ended agent's, not its successor's"
+    assert (reward, terminated, truncated) == (-1.0, not interrupted, interrupted)
+
+
+def test_stepping_on_after_an_end_is_refused():
+    env, _ = wrap(({2: 0.0}, {1: (0.0, False)}))
+    env.reset()
+    env.step([0.0, 0.0])
+    with pytest.raises(UnityGymException, match="call reset"):
+        env.step([0.0, 0.0])
+
+
+def test_the_first_reset_uses_the_episode_that_construction_began():
+    env, environment = wrap(ONE)
+    env.reset()
+    assert environment.resets == 1
+    env.reset()
+    assert environment.resets == 2
+
+
+def test_a_player_that_is_silent_for_a_message_is_waited_for():
+    env, _ = wrap(({}, {}), ({1: 2.0}, {}))
+    env.reset()
+    assert env.step([0.0, 0.0])[1] == 2.0
+
+
+def test_one_discrete_branch_is_discrete():
+    env, environment = wrap(ONE, actions=ActionSpec.create_discrete((4,)))
+    env.reset()
+    env.step(3)
+    assert env.action_space == spaces.Discrete(4)
+    assert environment.sent[0].discrete.tolist() == [[3]]
+
+
+def test_branches_are_multi_discrete_or_flattened():
+    branched, _ = wrap(actions=ActionSpec.create_discrete((2, 3)))
+    assert branched.action_space == spaces.MultiDiscrete([2, 3])
+    flat, environment = wrap(ONE, actions=ActionSpec.create_discrete((2, 3)), flatten_branched=True)
+    assert flat.action_space == spaces.Discrete(6)
+    flat.reset()
+    flat.step(5)
+    assert environment.sent[0].discrete.tolist() == [[1, 2]]
+
+
+def test_a_visual_observation_comes_before_the_vector_and_alone():
+    env, _ = wrap(shapes=((3,), (4, 5, 3)))
+    observation, _ = env.reset()
+    assert observation.shape == (4, 5, 3)
+    assert np.array_equal(env.render(), observation)
+
+
+def test_all_observations_are_a_tuple_with_the_vectors_last():
+    env, _ = wrap(shapes=((3,), (4, 5, 3), (2,)), allow_multiple_obs=True)
+    image, vector = env.reset()[0]
+    assert (image.shape, vector.shape) == ((4, 5, 3), (5,))
+    assert isinstance(env.observation_space, spaces.Tuple)
+
+
+def test_uint8_visual_scales_pixels():
+    env, _ = wrap(shapes=((4, 5, 3),), uint8_visual=True)
+    observation, _ = env.reset()
+    assert observation.dtype == np.uint8
+    assert (observation == 255).all()
+    assert env.observation_space == spaces.Box(0, 255, (4, 5, 3), np.uint8)
+
+
+def test_the_action_space_is_seeded():
+    first, second = wrap(action_space_seed=3)[0], wrap(action_space_seed=3)[0]
+    assert np.array_equal(first.action_space.sample(), second.action_space.sample())
+
+
+def test_several_agents_are_refused():
+    environment = Scripted(spec([(3,)], CONTINUOUS), [({1: 0.0, 2: 0.0}, {})])
+    with pytest.raises(UnityGymException, match="has 2 agents"):
+        UnityToGymWrapper(environment)
+
+
+def test_mixed_actions_are_refused():
+    with pytest.raises(UnityGymException, match="2 continuous actions and 1 discrete branches"):
+        wrap(actions=ActionSpec(2, (3,)))
+
+
+def test_no_observation_is_refused():
+    with pytest.raises(UnityGymException, match="no visual or vector observation"):
+        wrap(shapes=())
+
+
+def test_a_nan_action_is_refused():
+    env, _ = wrap()
+    env.reset()
+    with pytest.raises(UnityGymException, match="finite numbers were expected"):
+        env.step([float("nan"), 0.0])
+
+
+def test_closing_closes_the_environment():
+    env, environment = wrap()
+    env.close()
+    assert environment.closed
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_our_player_wrapped_passes_gymnasiums_checks_but_for_seeding(open_corridor):
+    """A player is seeded at launch, so reset(seed) can't bring an episode back; the rest of check_env holds."""
+    env = UnityToGymWrapper(open_corridor())
+    with pytest.raises(AssertionError, match="same seed"):
+        check_env(env, skip_render_check=True)
+    observation, _ = env.reset()
+    assert env.observation_space.contains(observation)
+    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+
+
+def test_through_the_wrapper_as_in_process_bit_for_bit(open_corridor):
+    import gymnasium
+
+    env, oracle = UnityToGymWrapper(open_corridor(seed=4)), gymnasium.make("corridor_server:Corridor-v0")
+    rng = np.random.default_rng(1)
+    assert np.array_equal(env.reset()[0], oracle.reset(seed=4)[0])
+    episodes = 0
+    for _ in range(1500):
+        action = rng.uniform(-1, 1, 2).astype(np.float32)
+        ours, expected = env.step(action), oracle.step(action)
+        assert np.array_equal(ours[0], expected[0])
+        assert ours[1:4] == expected[1:4]
+        if ours[2] or ours[3]:
+            episodes += 1
+            assert np.array_equal(env.reset()[0], oracle.reset()[0])
+    assert episodes > 1

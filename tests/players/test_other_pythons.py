@@ -1,0 +1,43 @@
+"""A current Python beyond the one at hand: import, handshake and 1,000 steps, in a fresh environment."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import interpreter
+
+ROOT = Path(__file__).parents[2]
+
+THOUSAND_STEPS = """
+import sys
+import trainer
+from mlagents_envs.environment import UnityEnvironment
+from google.protobuf.internal import api_implementation
+assert api_implementation.Type() == "upb"
+from trainer.players.gym_wrapper import UnityToGymWrapper
+env = UnityToGymWrapper(UnityEnvironment(sys.argv[1], base_port=int(sys.argv[2]), seed=1, no_graphics=True))
+env.reset()
+for _ in range(1000):
+    _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+    if terminated or truncated:
+        env.reset()
+env.close()
+print("done")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+def test_the_client_runs_on_python(version, tmp_path, free_port):
+    """Installs ``.[client]`` (no torch) and steps the player with the unmodified mlagents-envs."""
+    python = sys.executable if sys.version_info[:2] == tuple(map(int, version.split("."))) else interpreter(version)
+    if python is None:
+        pytest.skip(f"no Python {version} on this machine")
+    subprocess.run([python, "-m", "venv", tmp_path / "venv"], check=True)
+    bin_folder = tmp_path / "venv" / "bin"
+    install = [bin_folder / "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt", f"{ROOT}[client]"]
+    subprocess.run(install, check=True, cwd=tmp_path)
+    program = [bin_folder / "python", "-c", THOUSAND_STEPS, bin_folder / "corridor-server", str(free_port)]
+    run = subprocess.run(program, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+    assert run.stdout.endswith("done\n"), run.stderr

@@ -1,0 +1,143 @@
+"""Engine settings and environment parameters, from a YAML file and from the command line."""
+
+import numpy as np
+import pytest
+
+from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform
+from corridor_server.protocol.side_channels import read_engine_setting, read_environment_parameter
+from trainer.config import CORRIDOR, EngineConfig
+from trainer.errors import TrainerError
+from trainer.main import Train, main
+from trainer.players.settings import channels
+
+FILE = """
+engine_settings:
+  time_scale: 5
+  width: 640
+environment_parameters:
+  opponent_speed: 1.5
+  goal_x: 8
+  goal_z: {sampler_type: uniform, sampler_parameters: {min_value: 1, max_value: 3}}
+  agent_speed: {sampler_type: gaussian, sampler_parameters: {mean: 2, st_dev: 0.1}}
+  switch_z: {sampler_type: multirangeuniform, sampler_parameters: {intervals: [[-3, -2], [2, 3]]}}
+"""
+
+
+def config(tmp_path, text, **options):
+    path = tmp_path / "settings.yaml"
+    path.write_text(text)
+    return Train("r", config=path, **options).run_config()
+
+
+def sent(run, seed=7):
+    """What goes over the wire, as our own player reads it."""
+    engine, parameters = channels(run, seed)
+    bytes_of = lambda channel: [bytes(message) for message in channel.message_queue]  # noqa: E731
+    return [read_engine_setting(each) for each in bytes_of(engine)], dict(
+        map(read_environment_parameter, bytes_of(parameters))
+    )
+
+
+def test_the_defaults_are_those_of_mlagents_learn():
+    engine, parameters = sent(Train("r").run_config())
+    assert EngineConfig() == EngineConfig(84, 84, 5, 20.0, -1, 60)
+    assert engine == [
+        "resolution 84 x 84",
+        "quality level 5",
+        "time scale 20",
+        "target frame rate -1",
+        "capture frame rate 60",
+    ]
+    assert parameters == {"failure_penalty": 1.0} | {name: np.float32(value) for name, value in CORRIDOR.items()}
+
+
+def test_a_file_and_the_command_line_which_wins(tmp_path):
+    run = config(tmp_path, FILE, time_scale=7.0, env_param=("goal_x=8.5",))
+    engine, parameters = sent(run)
+    assert engine[0] == "resolution 640 x 84"
+    assert engine[2] == "time scale 7"
+    assert parameters["opponent_speed"] == 1.5
+    assert parameters["goal_x"] == 8.5
+
+
+def test_samplers_reach_the_player_each_with_its_own_seed(tmp_path):
+    run = config(tmp_path, FILE)
+    _, parameters = sent(run, seed=7)
+    seeds = {name: 7 + index for index, name in enumerate(run.environment_parameters)}
+    assert parameters["goal_z"] == Uniform(seeds["goal_z"], 1.0, 3.0)
+    assert parameters["agent_speed"] == Gaussian(seeds["agent_speed"], 2.0, pytest.approx(0.1))
+    assert parameters["switch_z"] == MultiRangeUniform(seeds["switch_z"], ((-3.0, -2.0), (2.0, 3.0)))
+
+
+def test_our_player_takes_them(open_corridor, tmp_path):
+    run = config(tmp_path, FILE)
+    environment = open_corridor(side_channels=channels(run, 7), log_folder=tmp_path)
+    environment.reset()
+    environment.close()
+    log = (tmp_path / "Player-0.log").read_text()
+    assert "time scale 5 noted" in log
+    assert "Environment parameter opponent_speed = 1.5." in log
+    assert "Environment parameter goal_z = Uniform" in log
+    assert "ignored" not in log
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2]", "holds a list, but the sections engine_settings and environment_parameters were expected"),
+        ("a: [", "is not YAML"),
+        ("behaviors: {Corridor: {}}", "has the section 'behaviors', .* an option of corridor train"),
+        ("engine_settings: 5", "engine_settings in .* is 5, but lines 'name: value' were expected"),
+        ("engine_settings: {speed: 5}", "'speed' is no engine setting; known ones are width, height"),
+        ("engine_settings: {time_scale: 0}", "time_scale is 0, but a number from 0.01 to 100 was expected"),
+        ("engine_settings: {width: 84.5}", "width is 84.5, but a whole number from 1 to 16384 was expected"),
+        ("engine_settings: {width: wide}", "width is wide"),
+        ("environment_parameters: {goal_x: far}", "goal_x is 'far', but a number was expected, or a sampler_type"),
+        ("environment_parameters: {goal_x: .nan}", "goal_x is nan, but a number was expected"),
+        ("environment_parameters: {goal_x: {sampler_type: odd, sampler_parameters: {}}}", "but a number was expected"),
+        ("environment_parameters: {goal: 5}", "'goal' is not an environment parameter of the corridor; the nearest"),
+        ("environment_parameters: {goal_radius: -5}", "goal_radius = -5 is out of its range"),
+        ("environment_parameters: {failure_penalty: 0}", "failure_penalty is set by --penalty; take it out"),
+    ],
+)
+def test_a_file_that_cant_be_used(tmp_path, text, says):
+    with pytest.raises(TrainerError, match=says):
+        config(tmp_path, text)
+
+
+def test_a_file_that_does_not_exist(tmp_path):
+    with pytest.raises(TrainerError, match="none.yaml can't be read"):
+        Train("r", config=tmp_path / "none.yaml").run_config()
+
+
+@pytest.mark.parametrize("text", ["goal_x", "goal_x=", "=5", "goal_x=far"])
+def test_an_environment_parameter_of_another_form(text):
+    with pytest.raises(TrainerError, match="is not of the form NAME=NUMBER"):
+        Train("r", env_param=(text,)).run_config()
+
+
+def test_another_build_may_have_any_parameter(tmp_path):
+    run = config(tmp_path, "environment_parameters: {gravity: -9.8}", env="Other.x86_64")
+    assert sent(run)[1]["gravity"] == pytest.approx(-9.8)
+
+
+def test_everything_after_env_args_is_the_players(monkeypatch):
+    seen = []
+    monkeypatch.setattr("trainer.main._run", lambda command, *_: seen.append(command) or 0)
+    main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
+    assert seen[0].seed == 3
+    assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
+
+
+def test_given_parameters_replace_the_presets():
+    given = Train("r", env_param=("goal_x=7", "agent_spawn_x=-8")).run_config().environment_parameters
+    kept = {name: value for name, value in CORRIDOR.items() if not name.startswith("agent_spawn_x_")}
+    assert given == {**kept, "goal_x": 7.0, "agent_spawn_x": -8.0}
+
+
+def test_a_range_that_a_parameter_turns_round():
+    with pytest.raises(TrainerError, match="agent_spawn_x would go from -3 to -5.5 .* give both agent_spawn_x_min and"):
+        Train("r", env_param=("agent_spawn_x_min=-3",)).run_config()
+    with pytest.raises(TrainerError, match="opponent_spawn_x would go from 7 to 6 "):
+        Train("r", env_param=("opponent_spawn_x_max=6",)).run_config()
+    Train("r", env_param=("agent_spawn_x_min=-3",), env="Other.x86_64").run_config()  # may mean something else there

@@ -1,0 +1,181 @@
+"""The vector path: slots, ends and SB3's contract, for players that order and number their agents as they like."""
+
+import sys
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from mlagents_envs.base_env import ActionSpec
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from scripted import Scripted, spec
+from stable_baselines3.common.vec_env import VecMonitor
+
+from trainer.errors import TrainerError
+from trainer.players.environment import open_environment
+from trainer.players.vec_env import UnityVecEnv
+
+CONTINUOUS = ActionSpec.create_continuous(1)
+
+
+def slots(*messages: object, actions=CONTINUOUS, shapes=((1,),)) -> tuple[UnityVecEnv, Scripted]:
+    environment = Scripted(spec(list(shapes), actions), list(messages))
+    env = UnityVecEnv(environment)
+    env.reset()
+    return env, environment
+
+
+def act(env: UnityVecEnv, *values: float):
+    return env.step(np.array(values, np.float32).reshape(-1, 1))
+
+
+def test_each_agent_has_a_slot_whatever_the_order_in_which_it_comes():
+    env, environment = slots(({7: 0, 3: 0, 5: 0}, {}), ({5: 0.5, 7: 0.7, 3: 0.3}, {}), ({3: 1.3, 5: 1.5, 7: 1.7}, {}))
+    observations, rewards, dones, _ = act(env, 0.7, 0.3, 0.5)
+    assert observations[:, 0] == pytest.approx([7.01, 3.01, 5.01])
+    assert rewards == pytest.approx([0.7, 0.3, 0.5])
+    assert not dones.any()
+    _, rewards, _, _ = act(env, 0.7, 0.3, 0.5)
+    assert environment.sent[1].continuous[:, 0] == pytest.approx([0.5, 0.7, 0.3]), "in the order in which they asked"
+    assert rewards == pytest.approx([1.7, 1.3, 1.5])
+
+
+def test_an_ended_slot_shows_the_next_episode_and_its_info_the_last():
+    env, _ = slots(({1: 0, 2: 0}, {}), ({3: 0, 2: 0.2}, {1: (-1.0, False)}))
+    observations, rewards, dones, infos = act(env, 0, 0)
+    assert observations[:, 0] == pytest.approx([3.01, 2.01])
+    assert rewards == pytest.approx([-1.0, 0.2])
+    assert dones.tolist() == [True, False]
+    assert infos[0]["terminal_observation"] == pytest.approx([1.01])
+    assert infos[0]["TimeLimit.truncated"] is False
+    assert infos[1] == {}
+
+
+def test_an_interrupted_episode_is_a_time_limits():
+    env, _ = slots(({1: 0}, {}), ({2: 0}, {1: (0.0, True)}))
+    assert act(env, 0)[3][0]["TimeLimit.truncated"] is True
+
+
+def test_new_agents_take_the_ended_ones_slots_in_order():
+    env, _ = slots(({1: 0, 2: 0, 3: 0}, {}), ({2: 0, 8: 0, 9: 0}, {3: (0.3, False), 1: (0.1, False)}))
+    observations, rewards, dones, _ = act(env, 0, 0, 0)
+    assert observations[:, 0] == pytest.approx([8.01, 2.01, 9.01])
+    assert rewards == pytest.approx([0.1, 0.0, 0.3])
+    assert dones.tolist() == [True, False, True]
+
+
+def test_an_end_between_two_decisions_is_waited_through():
+    """Unity sends an episode's end when it happens; the next request may come in a later message."""
+    env, environment = slots(({1: 0, 2: 0}, {}), ({}, {1: (-1.0, False)}), ({3: 0, 2: 0.2}, {}))
+    observations, rewards, dones, infos = act(env, 0.1, 0.2)
+    assert observations[:, 0] == pytest.approx([3.02, 2.02])
+    assert rewards == pytest.approx([-1.0, 0.2])
+    assert dones.tolist() == [True, False]
+    assert infos[0]["terminal_observation"] == pytest.approx([1.01])
+    assert len(environment.sent) == 1
+
+
+def test_vector_observations_are_put_one_after_another():
+    env, _ = slots(({1: 0}, {}), shapes=((2,), (3,)))
+    assert env.observation_space == spaces.Box(-np.inf, np.inf, (5,), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("branches", "space", "action"),
+    [((4,), spaces.Discrete(4), [3]), ((2, 3), spaces.MultiDiscrete([2, 3]), [[1, 2]])],
+)
+def test_discrete_actions(branches, space, action):
+    env, environment = slots(({1: 0}, {}), ({1: 0}, {}), actions=ActionSpec.create_discrete(branches))
+    assert env.action_space == space
+    env.step(np.array(action))
+    assert environment.sent[0].discrete.tolist() == np.array(action).reshape(1, -1).tolist()
+
+
+def test_agents_that_do_not_decide_in_step_are_refused():
+    env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0}, {}))
+    with pytest.raises(TrainerError, match="1 of 2 agents asked for a decision"):
+        act(env, 0, 0)
+
+
+def test_an_agent_that_appears_from_nowhere_is_refused():
+    env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0, 9: 0}, {}))
+    with pytest.raises(TrainerError, match="1 of them new while 0 ended"):
+        act(env, 0, 0)
+
+
+def test_an_end_of_an_unknown_agent_is_refused():
+    env, _ = slots(({1: 0}, {}), ({1: 0}, {5: (0.0, False)}))
+    with pytest.raises(TrainerError, match="Agent 5 ended, but no running episode has that id"):
+        act(env, 0)
+
+
+def test_visual_observations_are_refused():
+    with pytest.raises(TrainerError, match=r"not shapes \[\(4, 4, 3\)\]"):
+        slots(({1: 0}, {}), shapes=((4, 4, 3),))
+
+
+def test_a_nan_action_names_its_area():
+    env, _ = slots(({1: 0, 2: 0}, {}))
+    with pytest.raises(TrainerError, match=r"The action for area 1 is \[nan\]"):
+        act(env, 0, float("nan"))
+
+
+def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor):
+    import gymnasium
+
+    areas, statistics = 5, StatsSideChannel()
+    env = VecMonitor(UnityVecEnv(open_corridor(seed=2, num_areas=areas, side_channels=[statistics]), statistics))
+    oracle = [gymnasium.make("corridor_server:Corridor-v0", area=area) for area in range(areas)]
+    assert np.array_equal(env.reset(), [each.reset(seed=2)[0] for each in oracle])
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(600):
+        actions = rng.uniform(-1, 1, (areas, 2)).astype(np.float32)
+        observations, rewards, dones, infos = env.step(actions)
+        for slot, each in enumerate(oracle):
+            observation, reward, terminated, truncated, info = each.step(actions[slot])
+            assert dones[slot] == (terminated or truncated)
+            assert rewards[slot] == np.float32(reward)
+            if dones[slot]:
+                ended += 1
+                assert np.array_equal(infos[slot]["terminal_observation"], observation)
+                assert infos[slot]["is_success"] == info["is_success"]
+                expected = {f"Corridor/{name}": np.float32(value) for name, value in info["statistics"].items()}
+                assert infos[slot]["statistics"] == expected
+                assert infos[slot]["episode"]["l"] == info["statistics"]["Episode Length"]
+                observation, _ = each.reset()
+            assert np.array_equal(observations[slot], observation)
+    assert ended > 3
+
+
+PLAIN_PLAYER = """#!{python}
+import sys
+from corridor_server.protocol import columnar
+columnar.read_step = lambda *arguments: None  # reads as protobuf does
+import corridor_server.protocol.wire as wire
+output = wire.output
+def as_protobuf_writes(batch, side_channel, introduce, camera=None):
+    message = wire.UnityMessageProto.FromString(output(batch, side_channel, introduce, camera))
+    return message.SerializeToString()
+wire.output = as_protobuf_writes
+from corridor_server.main import main
+sys.exit(main())
+"""
+
+
+def test_a_player_that_writes_as_protobuf_does_is_read_the_same(tmp_path, free_port):
+    """Unity's messages have no rows of one length: the general parser takes them, to the same arrays."""
+    path = tmp_path / "player"
+    path.write_text(PLAIN_PLAYER.format(python=sys.executable))
+    path.chmod(0o755)
+    seen = []
+    for env in ("builtin", str(path)):
+        environment = open_environment(env, seed=6, num_areas=6, port=free_port, timeout_wait=30)
+        vec_env, generator = UnityVecEnv(environment), np.random.default_rng(0)
+        steps = [vec_env.reset()]
+        for _ in range(400):
+            observations, rewards, dones, _ = vec_env.step(generator.uniform(-1, 1, (6, 2)).astype(np.float32))
+            steps += [observations, rewards, dones]
+        vec_env.close()
+        seen.append(steps)
+    assert sum(step.sum() for step in seen[0][3::3]) > 0, "no episode ended"
+    assert all(np.array_equal(one, other) for one, other in zip(*seen, strict=True))

@@ -1,0 +1,149 @@
+"""The codec: round trips for anything, refusal of everything else, and one whole conversation that must not change."""
+
+import base64
+import io
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from mlagents_envs.rpc_utils import behavior_spec_from_proto, steps_from_proto
+from PIL import Image
+
+from corridor_server.corridor.areas import Agents, Batch
+from corridor_server.protocol import side_channels, wire
+from corridor_server.protocol.messages import STEP, UnityMessageProto
+from trainer.conformance.channels import environment_parameter
+from trainer.conformance.raw_trainer import step
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "golden"))
+from record import RECORD, converse, replies
+
+FLOATS = st.floats(-(2.0**99), 2.0**99, width=32)
+IDS = st.integers(1, 2**31 - 1)
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> Batch:
+    count, size = draw(st.integers(1, 6)), 13
+    ended = draw(st.integers(0, count))
+
+    def agents(number: int) -> Agents:
+        ids = draw(arrays.arrays(np.int32, number, elements=IDS))
+        observations = draw(arrays.arrays(np.float32, (number, size), elements=FLOATS))
+        return Agents(ids, observations, draw(arrays.arrays(np.float32, number, elements=FLOATS)))
+
+    return Batch(agents(count), agents(ended), draw(arrays.arrays(np.bool_, ended)), {})
+
+
+@given(batches())
+def test_mlagents_envs_reads_the_batch_that_was_written(batch):
+    """By the parser as the first message, and by columns as every later one."""
+    introduction = UnityMessageProto.FromString(wire.output(batch, b"", introduce=True)).unity_output
+    later = UnityMessageProto.FromString(wire.output(batch, b"", introduce=False)).unity_output
+    assert later.rl_output == introduction.rl_output
+    infos = later.rl_output.agentInfos[wire.BEHAVIOR].value
+    spec = behavior_spec_from_proto(introduction.rl_initialization_output.brain_parameters[0], infos[0])
+    decision, terminal = steps_from_proto(infos, spec)
+    for read, written in ((decision, batch.deciding), (terminal, batch.ended)):
+        assert np.array_equal(read.agent_id, written.ids)
+        assert np.array_equal(read.reward, written.rewards)
+        assert np.array_equal(read.obs[0], written.observations)
+    assert np.array_equal(terminal.interrupted, batch.interrupted)
+
+
+@given(
+    arrays.arrays(np.float32, st.tuples(st.integers(1, 8), st.just(2)), elements=st.floats(-10, 10, width=32)),
+    st.booleans(),
+)
+def test_actions_are_read_as_they_were_sent(actions, deprecated):
+    message = step({wire.BEHAVIOR: actions.tolist()}, deprecated=deprecated)
+    read = wire.command(message.SerializeToString(), len(actions))
+    assert read.number == STEP
+    assert np.array_equal(read.actions, actions)
+
+
+@given(arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(3))))
+def test_a_png_holds_the_picture(image):
+    with Image.open(io.BytesIO(wire.png(image))) as read:
+        assert np.array_equal(np.array(read), image)
+
+
+@given(batches(), st.binary(max_size=30))
+def test_side_channel_bytes_travel_beside_the_agents(batch, buffer):
+    data = wire.output(batch, buffer, introduce=False)
+    assert UnityMessageProto.FromString(data).unity_output.rl_output.side_channel == buffer
+
+
+@given(st.binary(max_size=300))
+@settings(max_examples=300)
+def test_any_bytes_are_a_message_or_refused(data):
+    read(data)
+
+
+def read(data: bytes) -> str:
+    """All that the player reads of a reply; returns what came of it."""
+    try:
+        command = wire.command(data, 2)
+        for channel, payload in side_channels.split(command.side_channel):
+            if channel == side_channels.ENVIRONMENT_PARAMETERS:
+                side_channels.read_environment_parameter(payload)
+            elif channel == side_channels.ENGINE_CONFIGURATION:
+                side_channels.read_engine_setting(payload)
+    except (wire.WireError, side_channels.SideChannelError) as error:
+        return type(error).__name__
+    return "read"
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_mutated_messages_neither_crash_nor_grow():
+    whole = step(
+        {wire.BEHAVIOR: [[0.5, -0.5], [1.0, 0.25]]},
+        environment_parameter("goal_x", 3.0)
+        + side_channels.message(side_channels.ENGINE_CONFIGURATION, b"\2\0\0\0\0\0\0\0"),
+    ).SerializeToString()
+    assert read(whole) == "read"
+    rng = np.random.default_rng(0)
+    outcomes: dict[str, int] = {}
+    tracemalloc.start()
+    for _ in range(100_000):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            place = int(rng.integers(len(data)))
+            match rng.integers(4):
+                case 0:
+                    data[place] = int(rng.integers(256))
+                case 1:
+                    data[place] ^= 1 << int(rng.integers(8))
+                case 2:
+                    del data[place : place + int(rng.integers(1, 9))]
+                case 3:
+                    data[place:place] = rng.bytes(int(rng.integers(1, 9)))
+            if not data:
+                break
+        outcome = read(bytes(data))
+        outcomes[outcome] = outcomes.get(outcome, 0) + 1
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert set(outcomes) == {"read", "WireError", "SideChannelError"}
+    assert peak < 4 * 2**20
+
+
+def test_a_recorded_conversation_is_repeated_to_the_byte():
+    """After a wanted change: python tests/golden/record.py, and read what changed."""
+    recorded = [line.split() for line in RECORD.read_text().splitlines()]
+    heard: list[list[str]] = []
+    converse(replies(), lambda who, data: heard.append([who, base64.b64encode(data).decode()]))
+    for number, (then, now) in enumerate(zip(recorded, heard, strict=True)):
+        assert then == now, f"message {number}, from the {then[0]}"
+    assert any(info.done for info in _infos(recorded))
+    assert {info.max_step_reached for info in _infos(recorded) if info.done} == {False, True}
+
+
+def _infos(conversation: list[list[str]]) -> list[object]:
+    messages = [UnityMessageProto.FromString(base64.b64decode(data)) for who, data in conversation if who == "player"]
+    return [info for each in messages for info in each.unity_output.rl_output.agentInfos[wire.BEHAVIOR].value]

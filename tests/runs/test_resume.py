@@ -1,0 +1,74 @@
+"""Numbers that go bad stop a run and stay out of its checkpoints; checkpoints of other runs are refused."""
+
+import numpy as np
+import pytest
+from stable_baselines3.common.env_util import make_vec_env
+
+from trainer.errors import TrainerError
+from trainer.learning.lean_ppo import LeanPPO
+from trainer.main import Train
+from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
+from trainer.runs.folder import ProgressFile, RunFolder
+from trainer.runs.run import train_run
+from trainer.runs.run_state import load_policy
+from trainer.runs.training import build_stages
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (lambda model: model.policy.log_std.data.fill_(np.nan), r"policy/log_std\[0\] became nan"),
+        (lambda model: model.logger.record("train/value_loss", np.inf), "train/value_loss became inf"),
+    ],
+)
+def test_weights_or_losses_that_go_bad_stop_the_run_and_the_update_before_is_kept(
+    tmp_path, free_port, monkeypatch, harm, says
+):
+    learn, updates = LeanPPO.train, []
+
+    def third_time_unlucky(model):
+        learn(model)
+        updates.append(model.num_timesteps)
+        if len(updates) == 3:
+            harm(model)
+
+    monkeypatch.setattr(LeanPPO, "train", third_time_unlucky)
+    config = Train("r", num_areas=8, steps=4_000).run_config()
+    folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
+    with pytest.raises(TrainerError, match=f"After the update at step 384: {says}"):
+        train_run(config, folder, port=free_port, timeout_wait=120, episodes=1, resumed=False)
+    assert [path.name for path in checkpoints(folder.checkpoints)] == ["step-0000000256.safetensors"]
+    assert read_checkpoint(folder.checkpoints).facts["env_steps"] == 256
+
+
+def checkpoint(**facts: object) -> Checkpoint:
+    return Checkpoint({"normaliser/mean": np.zeros(18)}, {"config": {"algo": "ppo"}, **facts})
+
+
+def test_a_checkpoint_for_another_observation_size_says_so():
+    stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
+    with pytest.raises(TrainerError, match="is for observations of 18 floats, but the player's have 3"):
+        load_policy(checkpoint(), stages, "ppo")
+
+
+def test_a_checkpoint_of_another_algorithm_says_so():
+    stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
+    with pytest.raises(TrainerError, match="is of a run with --algo trpo, but this one has ppo"):
+        load_policy(checkpoint(config={"algo": "trpo"}), stages, "ppo")
+
+
+def test_rows_after_the_checkpoint_and_rows_that_a_full_disk_cut_are_dropped(tmp_path):
+    path = tmp_path / "progress.csv"
+    whole = ProgressFile(path, 0)
+    for steps in (10, 20, 30):
+        whole.write({"time/total_timesteps": steps, "time/fps": 7}, {})
+    whole.close()
+    text = path.read_bytes()
+    path.write_bytes(text[:-12])
+    ProgressFile(path, 20).close()
+    assert path.read_bytes() == b"".join(text.splitlines(keepends=True)[:3])
+    path.write_bytes(text)
+    resumed = ProgressFile(path, 20)
+    resumed.write({"time/total_timesteps": 30, "time/fps": 7}, {})
+    resumed.close()
+    assert path.read_bytes() == text

@@ -1,0 +1,267 @@
+"""``corridor watch``: what its server answers and refuses, and what it makes of runs that come, grow, break and go."""
+
+import http.client
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import BIN
+from recorded_run import GOLDEN, recorded_run
+
+from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.runs.trajectories import load_trajectories
+from trainer.viewer.document import PAGE
+from trainer.viewer.page_server import BODY_LIMIT, Drives, PageServer
+from trainer.viewer.watched_runs import QUIET_SECONDS
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[PageServer]:
+    server = PageServer(tmp_path / "results", 0, seed=0)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield server
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def ask(server: PageServer, path: str, body: object = None, **headers: str | None) -> tuple[int, dict]:
+    sent = {"X-Corridor-Token": server.token, **{name.replace("_", "-"): text for name, text in headers.items()}}
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+    try:
+        data = body if isinstance(body, str | None) else json.dumps(body)
+        method = "GET" if body is None else "POST"
+        connection.request(method, path, data, {name: text for name, text in sent.items() if text is not None})
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        return answer.status, json.loads(text) if text.startswith("{") else {"page": text}
+    finally:
+        connection.close()
+
+
+def runs(server: PageServer) -> dict[str, dict]:
+    return {run["name"]: run for run in ask(server, "/api/runs")[1]["runs"]}
+
+
+def wait_for_scene(server: PageServer, name: str) -> dict:
+    for _ in range(600):
+        status, answer = ask(server, f"/api/scene?run={name}")
+        assert status == 200, answer
+        if answer["scene"]:
+            return answer["scene"]
+        assert answer["note"] == "Its newest checkpoint is being played."
+        time.sleep(0.1)
+    raise AssertionError("no scene came")
+
+
+def test_the_page_comes_with_the_token_only(server):
+    assert ask(server, f"/?token={server.token}")[1]["page"].startswith("<!doctype html>")
+    assert ask(server, server.address.partition(str(server.server_port))[2])[0] == 200
+    for path in ("/", "/?token=", f"/?token={server.token[:-1]}", "/?token=%C3%A9"):
+        assert ask(server, path)[0] == 403
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1"},
+        {"Host": "127.0.0.1:1"},
+        {"X_Corridor_Token": "another"},
+        {"X_Corridor_Token": None},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+    ],
+)
+def test_only_its_own_page_on_loopback_is_answered(server, headers):
+    for path, body in (("/api/runs", None), ("/api/scene?run=x", None), ("/api/drive/new", {})):
+        status, answer = ask(server, path, body, **headers)
+        assert status == 403
+        assert list(answer) == ["error"]
+    assert server.server_address[0] == "127.0.0.1"
+
+
+def test_there_are_no_files(server, tmp_path):
+    run = recorded_run(tmp_path / "results")
+    (tmp_path / "secret").write_text("secret")
+    for path in (
+        "/configuration.yaml",
+        "/../secret",
+        "/fast/configuration.yaml",
+        "/api/../../secret",
+        str(run.summary),
+    ):
+        assert ask(server, path) == (404, {"error": "There is nothing here."})
+    for name in ("..", "../results/fast", "fast/../fast", str(run.path), "", "%2e%2e"):
+        status, answer = ask(server, f"/api/scene?run={name}")
+        assert (status, "is gone" in answer["error"]) == (400, True)
+
+
+def test_a_body_that_is_no_action_is_refused(server):
+    session = ask(server, "/api/drive/new", {})[1]["session"]
+    for body in ("", "[]", "{", "[" * 2000, '{"a": "' + "x" * BODY_LIMIT + '"}'):
+        assert ask(server, "/api/drive/step", body)[0] == 400
+    for action in (None, [], [1], [1, 2, 3], ["a", "b"], [[1, 2], [3, 4]], [1e999, 0], "left", {"x": 1}):
+        status, answer = ask(server, "/api/drive/step", {"session": session, "action": action})
+        assert status == 400, action
+        assert "expected" in answer["error"]
+    assert ask(server, "/api/drive/step", {"session": "x", "action": [0, 0]})[0] == 400
+    assert ask(server, "/api/drive/step", {"session": session, "action": [0, 0]})[0] == 200
+
+
+def test_driving_is_the_in_process_world(server):
+    begun = ask(server, "/api/drive/new", {})[1]
+    env = CorridorEnv()
+    observation, _ = env.reset(seed=int(np.random.default_rng(0).integers(2**31)))
+    rng = np.random.default_rng(5)
+    row, total, steps = begun["row"], 0.0, 0
+    assert begun["opponent_targets"] == env.state.opponent_target[0].tolist()
+    while row["outcome"] is None:
+        values = row["values"]
+        assert [values["p_x"], values["p_z"], values["switch"]] == observation[[0, 1, 7]].astype(float).tolist()
+        assert [values["op0_x"], values["op0_z"], values["op0_d"]] == observation[8:11].astype(float).tolist()
+        action = rng.uniform(-1.5, 1.5, 2).astype(np.float32)
+        row = ask(server, "/api/drive/step", {"session": begun["session"], "action": action.tolist()})[1]
+        observation, reward, terminated, _, _ = env.step(np.clip(action, -1, 1))
+        assert row["values"]["reward"] == reward
+        assert (row["outcome"] is not None) == terminated
+        total, steps = total + reward, steps + 1
+    assert row["outcome"] == "failed"
+    assert total <= -2 + 1e-6
+    status, answer = ask(server, "/api/drive/step", {"session": begun["session"], "action": [0, 0]})
+    assert (status, answer["error"]) == (400, "This drive is over; begin a new episode.")
+
+
+def test_forgotten_drives_are_bounded():
+    drives = Drives(0)
+    sessions = [drives.new()["session"] for _ in range(40)]
+    with pytest.raises(ValueError, match="over"):
+        drives.step(sessions[0], [0, 0])
+    assert drives.step(sessions[-1], [0, 0])["outcome"] is None
+
+
+def test_a_run_is_shown_from_its_first_file_to_its_deletion(server, tmp_path):
+    assert ask(server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+    run = recorded_run(tmp_path / "results", evaluated=False)
+    run.progress.unlink()
+    assert runs(server)["fast"]["status"] == "starting"
+    assert runs(server)["fast"]["problem"] == "No progress yet."
+
+    lines = (GOLDEN / "progress.csv").read_text().splitlines(keepends=True)
+    run.progress.write_text("".join(lines[:3]) + lines[3][:20])  # a row that is being written
+    answer = ask(server, "/api/runs?run=fast")[1]
+    assert answer["runs"][0]["status"] == "training"
+    assert len(answer["curves"]["fast"]["env_steps"]) == 2
+    run.progress.write_text("".join(lines))
+    answer = ask(server, "/api/runs?run=fast&run=nobody")[1]
+    curves = answer["curves"]["fast"]
+    assert len(curves["env_steps"]) == len(lines) - 1
+    assert curves["mean_return"][-1] == float(lines[-1].split(",")[2])
+    assert answer["runs"][0]["env_steps"] == curves["env_steps"][-1]
+    assert answer["runs"][0]["success_rate"] > 0.9
+
+    os.utime(run.progress, (time.time() - QUIET_SECONDS - 60,) * 2)
+    assert runs(server)["fast"]["status"] == "no news for 3 min"
+    run.write_summary({"evaluation": None})
+    assert runs(server)["fast"]["status"] == "stopped"
+    run.write_summary({"evaluation": {"episodes": 12}})
+    assert runs(server)["fast"]["status"] == "finished"
+
+    shutil.copy(GOLDEN / "trajectories.npz", run.trajectories)
+    scene = ask(server, "/api/scene?run=fast")[1]["scene"]
+    assert len(scene["episodes"]) == 12
+    stamp = runs(server)["fast"]["scene"]
+    os.utime(run.trajectories)
+    assert runs(server)["fast"]["scene"] != stamp  # evaluated again: the page asks for the new one
+
+    shutil.rmtree(run.path)
+    assert ask(server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+    assert ask(server, "/api/scene?run=fast")[0] == 400
+    recorded_run(tmp_path / "results")  # and again, as --force does it
+    assert len(ask(server, "/api/scene?run=fast")[1]["scene"]["episodes"]) == 12
+
+
+def test_broken_files_are_said_to_be_broken_and_the_rest_is_shown(server, tmp_path):
+    recorded_run(tmp_path / "results", "good")
+    broken = recorded_run(tmp_path / "results", "broken")
+    broken.configuration.write_text("{{{")
+    broken.progress.write_bytes(b"\xff\x00env_steps\n,,,\n1,2\n")
+    broken.summary.write_text("[")
+    answer = runs(server)
+    assert answer["good"]["problem"] is None
+    assert "not a run's configuration" in answer["broken"]["problem"]
+    assert "not a run's configuration" in ask(server, "/api/scene?run=broken")[1]["error"]
+    torn = recorded_run(tmp_path / "results", "torn")
+    torn.trajectories.write_bytes(b"PK")
+    status, error = ask(server, "/api/scene?run=torn")
+    assert (status, "is broken" in error["error"]) == (400, True)
+
+
+def test_a_foreign_players_run_says_when_there_will_be_episodes(server, tmp_path):
+    recorded_run(tmp_path / "results", "unity", env="editor", evaluated=False)
+    assert "not the built-in one" in runs(server)["unity"]["problem"]
+    assert ask(server, "/api/scene?run=unity")[1]["scene"] is None
+
+
+def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
+    results = tmp_path / "results"
+    command = [BIN / "corridor", "train", "--run-id", "r", "--results-dir", results, "--base-port", "5755"]
+    done = subprocess.run([*command, "--steps", "2000", "--num-areas", "16", "--eval-episodes", "16"])
+    assert done.returncode == 0
+    before = {path: path.stat().st_mtime_ns for path in results.rglob("*") if path.is_file()}
+    recorded = load_trajectories(results / "r" / "trajectories.npz")
+    [checkpoint] = (results / "r" / "checkpoints").glob("step-*.safetensors")
+    os.utime(checkpoint)  # newer than the evaluation, as while the run goes on
+    assert runs(server)["r"]["scene"] == checkpoint.stem
+    scene = wait_for_scene(server, "r")
+    assert scene["env_steps"] == recorded.env_steps
+    assert scene["notes"] == []  # equal to the in-process world bit for bit
+    assert [record["goal"] for record in scene["episodes"]] == [
+        (episode.observations[0, 4:6].astype(float) * 10).tolist() for episode in recorded.episodes[:4]
+    ]
+    # Only read: no file of the run has changed.
+    after = {path: path.stat().st_mtime_ns for path in results.rglob("*") if path.is_file()}
+    assert {path for path in after if after[path] != before.get(path)} == {checkpoint}
+
+    checkpoint.write_bytes(b"torn")
+    checkpoint.rename(checkpoint.with_name("step-0000009999.safetensors"))
+    for _ in range(100):
+        status, answer = ask(server, "/api/scene?run=r")
+        if status != 200:
+            break
+        time.sleep(0.1)
+    assert "is damaged" in answer["error"]
+
+
+def test_a_port_in_use_and_a_clean_end(tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        command = [BIN / "corridor", "watch", "--results-dir", tmp_path, "--port"]
+        done = subprocess.run([*command, str(port)], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 1
+        assert f"Port {port} can't be opened" in done.stderr
+    done = subprocess.run([*command, "70000"], capture_output=True, text=True, timeout=60)
+    assert "ports go from 1 to 65535" in done.stderr
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process = subprocess.Popen([*command, "0"], stdout=subprocess.PIPE, text=True)
+        assert process.stdout
+        assert "http://127.0.0.1:" in process.stdout.readline()
+        process.send_signal(number)
+        assert process.wait(30) == 0
+        process.stdout.close()
+
+
+def test_the_page_is_in_the_package():
+    assert PAGE.stat().st_size > 100_000

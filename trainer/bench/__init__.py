@@ -1,0 +1,1 @@
+"""What ``corridor bench`` measures."""

@@ -1,0 +1,1 @@
+"""Everything that learns: normalisation, curiosity, PPO and its siblings."""

@@ -1,0 +1,52 @@
+"""Random network distillation (ref. [14], section II-B): what the agent has seldom seen is rewarding."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from trainer.config import CuriosityConfig
+from trainer.learning.networks import Floats, Network, joined
+
+
+class RandomNetworkDistillation:
+    """A predictor that learns a fixed random network's output; its error is large where it has learned little.
+
+    Has ``IntrinsicCuriosityModule``'s interface; actions play no part.
+
+    Args:
+        observation_size: Length of an observation vector.
+        action_space: Any.
+        config: Sizes and learning rate.
+        generator: Draws the fixed network, which the seed alone decides, and the predictor's initial weights.
+    """
+
+    def __init__(
+        self,
+        observation_size: int,
+        action_space: spaces.Space[Any],
+        config: CuriosityConfig,
+        generator: np.random.Generator,
+    ) -> None:
+        self.target = Network(observation_size, config.hidden_size, config.feature_size)
+        self.predictor = Network(observation_size, config.hidden_size, config.feature_size)
+        joined((self.target,), generator)
+        self.adam = joined((self.predictor,), generator)
+        self.scale, self._rate = config.rnd_scale, config.learning_rate
+
+    def intrinsic_reward(self, observations: Floats, actions: Floats, next_observations: Floats) -> Floats:
+        """Half the squared distance between predicted and actual output for the next observations, (n,)."""
+        _, error = self.predictor(next_observations)
+        error -= self.target(next_observations)[1]
+        reward: Floats = np.float32(0.5) * np.einsum("ij,ij->i", error, error)
+        return reward
+
+    def learn(self, observations: Floats, actions: Floats, next_observations: Floats) -> dict[str, float]:
+        """One gradient step on a minibatch; returns its ``rnd_loss``."""
+        hidden, error = self.predictor(next_observations)
+        error -= self.target(next_observations)[1]
+        loss = 0.5 * float(np.vdot(error, error)) / len(error)
+        error /= np.float32(len(error))
+        self.predictor.differentiate(next_observations, hidden, error)
+        self.adam.descend(self._rate)
+        return {"rnd_loss": loss}

@@ -1,0 +1,43 @@
+"""What a player's areas are doing, saved with a run: asked for over a side channel of our own.
+
+Players that do not know the channel skip its messages, as the protocol has it, and answer nothing. A run with such a
+player begins new episodes when it is resumed.
+"""
+
+from mlagents_envs.side_channel.side_channel import IncomingMessage, OutgoingMessage, SideChannel
+
+from corridor_server.protocol.side_channels import AREA_STATE
+
+
+class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no type information
+    """The trainer's end of the channel.
+
+    Args:
+        restored: A state that the player shall take up with its first reset.
+
+    Attributes:
+        state: The player's last answer; None if it gave none.
+    """
+
+    def __init__(self, restored: bytes | None = None) -> None:
+        super().__init__(AREA_STATE)
+        self.state: bytes | None = None
+        self._asked = self._known = False
+        if restored is not None:
+            self._send(restored)
+
+    def ask(self) -> None:
+        """Asks for the state after the next step, unless the player has shown that it does not know the channel."""
+        if self._asked and not self._known:
+            return
+        self._asked = True
+        self._send(b"")
+
+    def on_message_received(self, message: IncomingMessage) -> None:
+        """Takes the player's state."""
+        self._known, self.state = True, bytes(message.get_raw_bytes())
+
+    def _send(self, payload: bytes) -> None:
+        message = OutgoingMessage()
+        message.set_raw_bytes(bytearray(payload))
+        self.queue_message_to_send(message)

@@ -1,0 +1,119 @@
+"""Pictures of a run, as files: its learning curve, and one evaluated episode's paths (Fig. 4(b))."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
+
+from corridor_server.corridor.corridor_config import CorridorConfig
+from trainer.runs.evaluation import Episode
+
+# The paper's roles.
+LEARNER, OPPONENT, SWITCH = "#e8850c", "#7b3fa0", "#009e73"
+GREY = "#555555"
+
+
+def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, path: Path) -> None:
+    """Draws return, success rate, episode length and intrinsic reward against agent steps.
+
+    Args:
+        rows: ``progress.csv``.
+        title: What run it is.
+        path: The PNG file.
+    """
+    panels = [
+        ("mean_return", "return", LEARNER),
+        ("success_rate", "success rate", SWITCH),
+        ("mean_episode_length", "episode length (decisions)", GREY),
+        ("intrinsic_reward", "intrinsic reward a step", OPPONENT),
+    ]
+    figure = _figure(9.0, 5.4)
+    for index, (column, label, colour) in enumerate(panels):
+        axes = figure.add_subplot(2, 2, index + 1)
+        points = [(row["env_steps"], row[column]) for row in rows if row[column] is not None]
+        if points:
+            steps, values = np.array(points, dtype=float).T
+            axes.plot(steps / 1e6, values, color=colour, linewidth=1.4)
+        else:
+            axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=GREY)
+        if column == "success_rate":
+            axes.set_ylim(-0.03, 1.03)
+        axes.set_ylabel(label)
+        axes.set_xlabel("agent steps (millions)")
+        _tidy(axes)
+    figure.suptitle(title)
+    _save(figure, path)
+
+
+def save_episode_paths(episode: Episode, title: str, path: Path, corridor: CorridorConfig | None = None) -> None:
+    """Draws learner's and opponents' paths from above; marks lie a second apart.
+
+    Args:
+        episode: Of the corridor: its observations are eq. 10's.
+        title: What run it is.
+        path: The PNG file.
+        corridor: Geometry of the player, which the observation does not hold; the defaults if not given.
+    """
+    config = corridor or CorridorConfig()
+    seen = episode.observations.astype(float)
+    opponents = (seen.shape[1] - 8) // 5
+    figure = _figure(9.0, 5.2)
+    axes = figure.add_subplot()
+    length, width = config.half_length, config.half_width
+    axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, edgecolor=GREY, linewidth=2))
+    axes.add_patch(_disc((config.switch_x, config.switch_z), config.switch_radius, SWITCH, 0.15))
+    axes.annotate("switch", (config.switch_x, config.switch_z), color=SWITCH, ha="center", va="center")
+    second = max(round(1.0 / config.decision_seconds), 1)
+    for opponent in range(opponents):
+        columns = seen[:, 8 + 5 * opponent : 10 + 5 * opponent] * length
+        _path(axes, columns, OPPONENT, "opponent" if opponent == 0 else None, config.opponent_radius, second)
+    learner = seen[:, 0:2] * length
+    _path(axes, learner, LEARNER, "learner", config.agent_radius, second)
+    goal = seen[-1, 4:6] * length
+    axes.add_patch(_disc((goal[0], goal[1]), config.goal_radius, LEARNER, 0.2))
+    axes.annotate("target", (goal[0], goal[1]), color=LEARNER, ha="center", va="center")
+    on = np.flatnonzero(seen[:, 7] > 0.5)
+    if len(on):
+        axes.plot(*learner[on[0]], marker="*", markersize=15, color=SWITCH, label="switch turned on", linestyle="none")
+    axes.set_aspect("equal")
+    axes.set_xlim(-length - 0.3, length + 0.3)
+    axes.set_ylim(-width - 0.3, width + 0.3)
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("z (m)")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    end = {True: "target reached", False: "failed", None: "ended"}[episode.succeeded]
+    total = episode.rewards.sum(dtype=np.float64)
+    axes.set_title(f"{title}: {end} after {len(episode.rewards)} decisions, return {total:+.2f}")
+    _save(figure, path)
+
+
+def _path(axes: Axes, points: NDArray[np.float64], colour: str, label: str | None, radius: float, every: int) -> None:
+    axes.plot(*points.T, color=colour, linewidth=1.6, label=label)
+    axes.plot(*points[::every].T, color=colour, marker="o", markersize=3, linestyle="none")
+    axes.add_patch(_disc(tuple(points[0]), radius, colour, 0.25))
+    axes.add_patch(_disc(tuple(points[-1]), radius, colour, 0.95))
+
+
+def _disc(centre: tuple[float, ...], radius: float, colour: str, opacity: float) -> Circle:
+    return Circle((centre[0], centre[1]), radius, facecolor=colour, edgecolor=colour, alpha=opacity)
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _tidy(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=110, bbox_inches="tight")

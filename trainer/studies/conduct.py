@@ -1,0 +1,93 @@
+"""What ``corridor study`` does: plans, has the missing runs executed, and reports."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+from rich.console import Console
+
+from trainer.config import PresetName
+from trainer.runs.folder import machine, versions
+from trainer.studies.display import StudyDisplay
+from trainer.studies.executors import Executor, Outcome, Task
+from trainer.studies.plan import Study
+from trainer.studies.report import Facts, Report
+from trainer.studies.store import Store
+
+
+def run_study(
+    study: Study,
+    executor: Executor,
+    store: Store,
+    *,
+    preset: PresetName,
+    seeds: Sequence[int],
+    steps: int,
+    episodes: int,
+    timeout_wait: int,
+    command: str,
+    console: Console,
+) -> bool:
+    """Trains what is not finished yet and writes the report.
+
+    Args:
+        study: What to compare.
+        executor: Where runs are executed.
+        store: Where runs and report go.
+        preset: The runs' preset.
+        seeds: One run of every arm for each.
+        steps: Agent steps a run.
+        episodes: Of each run's evaluation.
+        timeout_wait: Seconds to wait for a player.
+        command: As typed, for the report.
+        console: To show progress and results.
+
+    Returns:
+        Whether every run finished.
+
+    Raises:
+        TrainerError: The place can't be written or holds something else, or there is no cluster; nothing was started.
+    """
+    store.check_writable()
+    executor.check()
+    planned = study.runs(preset, steps, seeds)
+    configs = [planned[arm.name][index] for index in range(len(seeds)) for arm in study.arms]
+    missing = [config for config in configs if store.find(config, study.name, episodes) is None]
+    tasks = [Task(config, store.place, study.name, episodes, timeout_wait) for config in missing]
+    started = time.monotonic()
+    ended: list[Outcome] = []
+    try:
+        with (
+            StudyDisplay(console, study.name, len(configs), len(missing), steps) as display,
+            closing(executor.run(tasks)) as updates,
+        ):
+            for update in updates:
+                ended += update.ended
+                display.update(update)
+    except KeyboardInterrupt:
+        console.print("Finished runs are kept; the same command goes on with the others.")
+        raise
+
+    found = {name: [store.find(config, study.name, episodes) for config in arm] for name, arm in planned.items()}
+    runs = {name: [store.load(path) for path in paths if path is not None] for name, paths in found.items()}
+    failures = [outcome for outcome in ended if outcome.error is not None]
+    facts = Facts(
+        command=command,
+        preset=preset,
+        seeds=seeds,
+        steps=steps,
+        trained=len(ended) - len(failures),
+        wall_seconds=time.monotonic() - started,
+        versions=versions(),
+        machine=machine(),
+    )
+    report = Report(study, runs, failures, facts)
+    with tempfile.TemporaryDirectory() as temporary:
+        report.write(Path(temporary))
+        for file in sorted(Path(temporary).iterdir()):
+            store.put(file, f"{study.name}/{file.name}")
+    report.show(console)
+    console.print(f"Report: {store.place}/{study.name}/report.md", highlight=False, soft_wrap=True)
+    return not failures

@@ -1,0 +1,1 @@
+"""What a person looks at: replays, the page, and the server behind ``corridor watch``."""

@@ -1,0 +1,232 @@
+"""What ``corridor watch`` does: the page over loopback HTTP, from runs' files, which it only reads."""
+
+import hmac
+import json
+import math
+import secrets
+import signal
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from rich.console import Console
+
+from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.errors import TrainerError
+from trainer.viewer.document import page
+from trainer.viewer.live import LiveEvaluations
+from trainer.viewer.scene import corridor_facts, state_row
+from trainer.viewer.watched_runs import WatchedRuns
+
+HOST = "127.0.0.1"
+BODY_LIMIT = 4096  # bytes; a request's body is an action
+SESSIONS = 16  # drives that are remembered; a new one ends the oldest
+
+
+def watch(results_dir: Path, port: int, console: Console) -> None:
+    """Serves the page until Ctrl-C.
+
+    Args:
+        results_dir: The runs' folder; it need not exist yet.
+        port: On loopback; 0 takes a free one.
+        console: Told the address, which has the token in it.
+
+    Raises:
+        TrainerError: The port is in use or no port.
+    """
+    if not 0 <= port <= 65535:
+        raise TrainerError(f"--port is {port}, but ports go from 1 to 65535.")
+    try:
+        server = PageServer(results_dir, port)
+    except OSError as error:
+        raise TrainerError(f"Port {port} can't be opened ({error.strerror}); choose another with --port.") from error
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        console.print(f"Watching {results_dir}: open {server.address}", highlight=False, soft_wrap=True)
+        console.print("Ctrl-C ends it; training goes on.")
+        server.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.server_close()
+
+
+class PageServer(ThreadingHTTPServer):
+    """Answers loopback requests that carry its own name and token; has no files, only the page and its questions.
+
+    Args:
+        results_dir: The runs' folder.
+        port: On loopback; 0 takes a free one.
+        seed: Decides the episodes that are driven by hand; None draws them anew each time.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, results_dir: Path, port: int, seed: int | None = None) -> None:
+        self.results_dir = results_dir
+        self.token = secrets.token_urlsafe(24)
+        self.live = LiveEvaluations()
+        self.runs = WatchedRuns(results_dir, self.live)
+        self.drives = Drives(seed)
+        super().__init__((HOST, port), _Handler)
+
+    @property
+    def address(self) -> str:
+        """Where the page is, token included."""
+        return f"http://{HOST}:{self.server_port}/?token={self.token}"
+
+    def server_close(self) -> None:
+        """Frees the port and ends the evaluating process."""
+        super().server_close()
+        self.live.close()
+
+
+class Drives:
+    """Episodes that somebody drives by hand, each in a world of its own.
+
+    Args:
+        seed: Decides the episodes; None draws them anew each time.
+    """
+
+    def __init__(self, seed: int | None = None) -> None:
+        self._generator = np.random.default_rng(seed)
+        self._sessions: OrderedDict[str, tuple[CorridorEnv, threading.Lock]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def new(self) -> dict[str, Any]:
+        """Begins an episode; what the page needs to draw it."""
+        env = CorridorEnv()
+        session = secrets.token_urlsafe(12)
+        with self._lock:
+            observation, _ = env.reset(seed=int(self._generator.integers(2**31)))
+            self._sessions[session] = env, threading.Lock()
+            while len(self._sessions) > SESSIONS:
+                self._sessions.popitem(last=False)
+        return {
+            "session": session,
+            "corridor": corridor_facts(env.config),
+            "goal": env.state.goal[0].tolist(),
+            "opponent_targets": env.state.opponent_target[0].tolist(),
+            "row": {"values": state_row(observation, 0.0, (0.0, 0.0)), "outcome": None},
+        }
+
+    def step(self, session: object, action: object) -> dict[str, Any]:
+        """Applies an action for one decision.
+
+        Raises:
+            ValueError: There is no such drive, it is over, or the action is not two finite numbers.
+        """
+        with self._lock:
+            found = self._sessions.get(str(session))
+        if found is None:
+            raise ValueError("This drive is over; begin a new episode.")
+        if (
+            not isinstance(action, list)
+            or len(action) != 2
+            or not all(isinstance(value, int | float) and math.isfinite(value) for value in action)
+        ):
+            raise ValueError(f"The action is {action!r}, but two numbers in [-1, 1] were expected.")
+        env, lock = found
+        with lock:
+            numbers = np.clip(np.array(action, np.float32), -1.0, 1.0)
+            observation, reward, terminated, truncated, info = env.step(numbers)
+        outcome = None
+        if terminated or truncated:
+            outcome = "truncated" if truncated else "goal" if info["is_success"] else "failed"
+            with self._lock:
+                self._sessions.pop(str(session), None)
+        return {"values": state_row(observation, reward, numbers), "outcome": outcome}
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    server_version = "corridor"
+    sys_version = ""
+    protocol_version = "HTTP/1.1"
+    timeout = 60  # seconds that a silent connection is kept
+
+    def do_GET(self) -> None:
+        url = urlsplit(self.path)
+        query = parse_qs(url.query)
+        if url.path == "/":
+            self._page(query)
+        elif url.path == "/api/runs":
+            self._answer(lambda: self.server.runs.overview(query.get("run", [])))
+        elif url.path == "/api/scene":
+            self._answer(lambda: self.server.runs.scene(query.get("run", [""])[0]))
+        else:
+            self._send(404, {"error": "There is nothing here."})
+
+    def do_POST(self) -> None:
+        body = self._body()
+        if body is None:
+            self.close_connection = True
+            self._send(400, {"error": f"A JSON object of at most {BODY_LIMIT} bytes was expected."})
+        elif self.path == "/api/drive/new":
+            self._answer(self.server.drives.new)
+        elif self.path == "/api/drive/step":
+            self._answer(lambda: self.server.drives.step(body.get("session"), body.get("action")))
+        else:
+            self._send(404, {"error": "There is nothing here."})
+
+    def _page(self, query: dict[str, list[str]]) -> None:
+        problem = self._refusal(query.get("token", [""])[0])
+        if problem:
+            self._send(403, {"error": problem})
+            return
+        data = {"mode": "watch", "token": self.server.token, "results": str(self.server.results_dir)}
+        self._send(200, page(data))
+
+    def _answer(self, ask: Callable[[], dict[str, Any]]) -> None:
+        problem = self._refusal(self.headers.get("X-Corridor-Token", ""))
+        if problem:
+            self._send(403, {"error": problem})
+            return
+        try:
+            self._send(200, ask())
+        except (TrainerError, ValueError) as error:
+            self._send(400, {"error": str(error)})
+
+    def _refusal(self, token: str) -> str | None:
+        """Why this request is not answered, or None. Another site's page can send neither our name nor our token."""
+        hosts = [f"{name}:{self.server.server_port}" for name in (HOST, "localhost")]
+        if self.headers.get("Host") not in hosts:
+            return f"Only requests to {hosts[0]} are answered."
+        if self.headers.get("Origin", f"http://{hosts[0]}") not in [f"http://{host}" for host in hosts]:
+            return "Only this server's own page is answered."
+        if not hmac.compare_digest(token.encode(), self.server.token.encode()):
+            return "This is another 'corridor watch' than the page's; open the address that it printed."
+        return None
+
+    def _body(self) -> dict[str, Any] | None:
+        try:
+            length = int(self.headers.get("Content-Length", "-1"))
+            if not 0 <= length <= BODY_LIMIT:
+                return None
+            body = json.loads(self.rfile.read(length))
+        except (ValueError, RecursionError):
+            return None
+        return body if isinstance(body, dict) else None
+
+    def _send(self, status: int, body: dict[str, Any] | str) -> None:
+        is_page = isinstance(body, str)
+        data = (body if isinstance(body, str) else json.dumps(body, allow_nan=False)).encode()
+        self.send_response(status)
+        self.send_header("Content-Type", f"{'text/html' if is_page else 'application/json'}; charset=utf-8")
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("X-Frame-Options", "DENY")
+        self.end_headers()
+        try:
+            self.wfile.write(data)
+        except (BrokenPipeError, ConnectionResetError):
+            self.close_connection = True
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Says nothing: the terminal has the address in it."""

@@ -1,0 +1,74 @@
+"""What ``corridor replay`` does: a run's evaluation as a page, a GIF and an MP4."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+from trainer.runs.folder import RunFolder
+from trainer.runs.trajectories import Trajectories, load_trajectories
+from trainer.viewer.document import page
+from trainer.viewer.pictures import save_animations
+from trainer.viewer.scene import run_scene
+
+
+def replay_run(
+    config: RunConfig,
+    folder: RunFolder,
+    *,
+    checkpoint: str | None,
+    episodes: int,
+    port: int,
+    timeout_wait: int,
+) -> list[Path]:
+    """Writes ``replay.html``, ``replay.gif`` and ``replay.mp4`` into the run's folder.
+
+    Args:
+        config: The run.
+        folder: Its results.
+        checkpoint: Play this checkpoint (``step-500736``) instead of showing the run's evaluation; its files are named
+            after it.
+        episodes: How many the page shows.
+        port: Port for the player, if one is needed.
+        timeout_wait: Seconds to wait for it.
+
+    Returns:
+        The files.
+
+    Raises:
+        TrainerError: There is nothing to show, or its file is broken.
+    """
+    console = Console()
+    trajectories = _trajectories(config, folder, checkpoint, episodes, port, timeout_wait, console)
+    scene = run_scene(config, trajectories, episodes)
+    for note in scene["notes"]:
+        console.print(note, highlight=False, soft_wrap=True)
+    name = "replay" if checkpoint is None else f"replay-step-{trajectories.env_steps}"
+    html, gif, mp4 = (folder.path / f"{name}.{ending}" for ending in ("html", "gif", "mp4"))
+    try:
+        html.write_text(page({"mode": "replay", "scene": scene}), encoding="utf-8")
+        save_animations(trajectories, scene, gif, mp4)
+    except OSError as error:
+        raise TrainerError(f"{folder.path} can't be written to ({error.strerror}); check its permissions.") from error
+    for path in (html, gif, mp4):
+        console.print(f"{path} ({path.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
+    return [html, gif, mp4]
+
+
+def _trajectories(
+    config: RunConfig,
+    folder: RunFolder,
+    checkpoint: str | None,
+    episodes: int,
+    port: int,
+    timeout_wait: int,
+    console: Console,
+) -> Trajectories:
+    if checkpoint is None and folder.trajectories.exists():
+        return load_trajectories(folder.trajectories)
+    from trainer.runs.run import play_episodes  # torch takes seconds to import
+
+    if checkpoint is None:
+        console.print("This run has no evaluation; its newest checkpoint is played.", highlight=False, soft_wrap=True)
+    return play_episodes(config, folder, port=port, timeout_wait=timeout_wait, episodes=episodes, checkpoint=checkpoint)

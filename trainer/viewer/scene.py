@@ -1,0 +1,195 @@
+"""What the page shows of an evaluation: chosen episodes, number for number as they were recorded."""
+
+import base64
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+from trainer.players.environment import is_corridor
+from trainer.players.settings import corridor_of
+from trainer.players.several import PLAYER_STRIDE, SEEDS
+from trainer.runs.evaluation import Episode
+from trainer.runs.trajectories import Trajectories
+
+SHOWN = 20  # episodes on a page, unless told otherwise
+FOREIGN = (
+    "The in-process world doesn't give these episodes (another player, or parameters drawn anew for each), so what the "
+    "trainer can't see is not shown: the opponent's target and the switch's place; the corridor has its default sizes."
+)
+
+
+def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHOWN) -> dict[str, Any]:
+    """A run's evaluation for the page.
+
+    Where the built-in player played it, its episodes are lived through again in the in-process world, action by
+    action, which shows what the observation hides; it is believed only if every observation, reward and end is equal
+    bit for bit.
+
+    Args:
+        config: The run.
+        trajectories: Its evaluation.
+        episodes: How many to show: failures, closest calls and successes in equal parts, as far as there are.
+
+    Raises:
+        TrainerError: The environment is not the corridor.
+    """
+    if not is_corridor(trajectories.behavior):
+        raise TrainerError(f"The run's behavior is {trajectories.behavior}, but only the corridor can be shown.")
+    corridor = corridor_of(config)
+    chosen = choose(trajectories.episodes, episodes)
+    hidden = _hidden_targets(config, trajectories, chosen, corridor)
+    return {
+        "run": {**config.facts(), "steps": config.steps},
+        "env_steps": trajectories.env_steps,
+        "corridor": corridor_facts(corridor, switch_known=hidden is not None),
+        "evaluated": len(trajectories.episodes),
+        "notes": [FOREIGN] if hidden is None else [],
+        "episodes": [
+            episode_record(trajectories.episodes[row], row, corridor, None if hidden is None else hidden[row])
+            for row in chosen
+        ],
+    }
+
+
+def corridor_facts(corridor: CorridorConfig, *, switch_known: bool = True) -> dict[str, Any]:
+    """Geometry and reward, in ``CorridorConfig``'s names and units; no switch where its place is not known."""
+    return {
+        "half_length": corridor.half_length,
+        "half_width": corridor.half_width,
+        "agent_radius": corridor.agent_radius,
+        "opponent_radius": corridor.opponent_radius,
+        "goal_radius": corridor.goal_radius,
+        "near_distance": corridor.near_distance,
+        "decision_seconds": corridor.decision_seconds,
+        "failure_return": corridor.failure_return,
+        "switch": {"x": corridor.switch_x, "z": corridor.switch_z, "radius": corridor.switch_radius}
+        if switch_known
+        else None,
+    }
+
+
+def choose(episodes: Sequence[Episode], count: int) -> list[int]:
+    """Rows of ``count`` episodes: failures, closest calls (successes, by closest approach) and other successes.
+
+    Each kind has a third of the places, and what others leave.
+    """
+    failures = [row for row, episode in enumerate(episodes) if not episode.succeeded]
+    successes = [row for row, episode in enumerate(episodes) if episode.succeeded]
+    close = sorted(successes, key=lambda row: (closest_approach(episodes[row]), row))
+    chosen = [*failures[: count // 3], *close[: count // 3]]
+    for row in [*successes, *failures]:
+        if len(chosen) < count and row not in chosen:
+            chosen.append(row)
+    return sorted(chosen)
+
+
+def closest_approach(episode: Episode) -> float:
+    """Least d_opp after the start, in half-lengths, over all opponents."""
+    return float(episode.observations[1:, 10::5].min())
+
+
+def episode_record(
+    episode: Episode, number: int, corridor: CorridorConfig, targets: NDArray[np.float64] | None
+) -> dict[str, Any]:
+    """One episode as the page reads it.
+
+    Args:
+        episode: Of the corridor.
+        number: Its row in the evaluation.
+        corridor: Where it was played.
+        targets: The opponents' targets, (K, 2) m, if known.
+
+    Returns:
+        Facts, and ``data``: a float32 table of the columns in ``columns`` and length + 1 rows, column after column,
+        deflated, as Base64. Row t is the state after t decisions, with the reward and action that led to it (0 in
+        row 0). Units are the observation's.
+    """
+    observations = episode.observations
+    nothing = np.zeros((1, *episode.actions.shape[1:]))
+    columns = _columns(
+        observations, np.concatenate([[0.0], episode.rewards]), np.concatenate([nothing, episode.actions])
+    )
+    table = np.stack([column.astype("<f4") for column in columns.values()])
+    # Bytes of the same significance side by side deflate to two thirds.
+    shuffled = table.view(np.uint8).reshape(-1, 4).T.tobytes()
+    return {
+        "number": number,
+        "length": len(episode.rewards),
+        "outcome": outcome(episode),
+        "return": float(episode.rewards.sum(dtype=np.float64)),
+        "closest": closest_approach(episode),
+        "goal": [float(value) * corridor.half_length for value in observations[0, 4:6]],
+        "opponent_targets": None if targets is None else targets.tolist(),
+        "opponents": (observations.shape[1] - 8) // 5,
+        "columns": list(columns),
+        "data": base64.b64encode(zlib.compress(shuffled, 9)).decode("ascii"),
+    }
+
+
+def state_row(
+    observation: NDArray[np.float32], reward: float, action: Sequence[float] | NDArray[np.float32]
+) -> dict[str, float]:
+    """One row of an episode's table: a state, and the reward and action that led to it."""
+    columns = _columns(observation[None], np.array([reward]), np.array([action]))
+    return {name: float(column[0]) for name, column in columns.items()}
+
+
+def _columns(observations: NDArray[Any], rewards: NDArray[Any], actions: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    columns = {
+        "p_x": observations[:, 0],
+        "p_z": observations[:, 1],
+        "switch": observations[:, 7],
+    }
+    for k in range((observations.shape[1] - 8) // 5):
+        columns |= {f"op{k}_{name}": observations[:, 8 + 5 * k + i] for i, name in enumerate(("x", "z", "d"))}
+    return columns | {"reward": rewards, "a_x": actions[:, 0], "a_z": actions[:, 1]}
+
+
+def outcome(episode: Episode) -> str:
+    """How an episode ended: ``goal``, ``failed``, ``truncated``, or ``ended`` if the player doesn't say."""
+    if episode.truncated:
+        return "truncated"
+    if episode.succeeded is None:
+        return "ended"
+    return "goal" if episode.succeeded else "failed"
+
+
+def _hidden_targets(
+    config: RunConfig, trajectories: Trajectories, rows: Sequence[int], corridor: CorridorConfig
+) -> dict[int, NDArray[np.float64]] | None:
+    """The opponents' targets in each of these episodes, (K, 2) m; None if the in-process world tells another story."""
+    if trajectories.seed is None or trajectories.episodes[0].observations.shape[1] != corridor.observation_size:
+        return None
+    found = {}
+    for row in rows:
+        episode = trajectories.episodes[row]
+        player, area = divmod(episode.slot, config.num_areas)
+        earlier = sum(other.slot == episode.slot for other in trajectories.episodes[:row])
+        env = CorridorEnv(area=area, **asdict(corridor))
+        observation, _ = env.reset(seed=(trajectories.seed + player * PLAYER_STRIDE) % SEEDS)
+        for _ in range(earlier):
+            observation, _ = env.reset()
+        observations, rewards = [observation], []
+        terminated = truncated = False
+        for action in episode.actions:
+            if terminated or truncated:
+                return None
+            observation, reward, terminated, truncated, _ = env.step(action)
+            observations.append(observation)
+            rewards.append(reward)
+        same_end = (terminated or truncated) and truncated == episode.truncated
+        same_numbers = np.array_equal(observations, episode.observations) and np.array_equal(
+            np.array(rewards, np.float32), episode.rewards
+        )
+        if not (same_end and same_numbers):
+            return None
+        found[row] = env.state.opponent_target[0]
+    return found

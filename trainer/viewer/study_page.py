@@ -1,0 +1,98 @@
+"""A study's report as a page: claims, figures, and every curve's runs with their replays."""
+
+import base64
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from trainer.errors import TrainerError
+from trainer.runs.folder import RunFolder
+from trainer.runs.trajectories import load_trajectories
+from trainer.viewer.document import page
+from trainer.viewer.scene import run_scene
+
+CLAIMS = "claims.json"
+CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
+
+
+def is_study(folder: Path) -> bool:
+    """Whether ``corridor study`` has reported in this folder."""
+    return (folder / CLAIMS).is_file()
+
+
+def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
+    """Writes ``report.html`` into a study's folder, and ``replay.html`` into that of each of its evaluated runs.
+
+    Args:
+        folder: With ``claims.json``, figures, and runs named ``<arm>-seed<N>`` (here or in a folder beside this one,
+            where studies share runs).
+        episodes: How many each replay shows.
+        console: Told what is missing, and the file.
+
+    Raises:
+        TrainerError: ``claims.json`` is broken, or the folder can't be written to.
+    """
+    try:
+        record = json.loads((folder / CLAIMS).read_text(encoding="utf-8"))
+        arms = record["arms"]
+        claims = [{key: claim[key] for key in CLAIM_KEYS} for claim in record["claims"]]
+        seeds = range(record["first_seed"], record["first_seed"] + record["seeds"])
+        facts = [record["command"], f"{record['seeds']} seeds", f"{record['steps']:,} steps a run"]
+        groups = [
+            {"name": arm["label"], "runs": [_run(folder, f"{arm['name']}-seed{seed}", episodes) for seed in seeds]}
+            for arm in arms
+        ]
+    except (ValueError, KeyError, TypeError) as error:
+        raise TrainerError(f"{folder / CLAIMS} is broken ({error!r}); run 'corridor study' again.") from error
+    except OSError as error:
+        raise TrainerError(f"{folder} can't be used ({error}); check its permissions.") from error
+    without = [run["run_id"] for group in groups for run in group["runs"] if run["replay"] is None]
+    notes = [f"There is no evaluation of {', '.join(without)}, so no replay."] if without else []
+    figures = [{"title": _title(path), "source": _inline(path)} for path in sorted(folder.glob("*.png"))]
+    study = {
+        "title": record.get("study", folder.name),
+        "facts": facts,
+        "claims": [
+            {key: claim[key] for key in ("id", "statement", "measure", "holds", "evidence")} for claim in claims
+        ],
+        "figures": figures,
+        "groups": groups,
+        "notes": notes,
+    }
+    report = folder / "report.html"
+    report.write_text(page({"mode": "study", "study": study}), encoding="utf-8")
+    for note in notes:
+        console.print(note, highlight=False, soft_wrap=True)
+    console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
+    return report
+
+
+def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
+    """A run's line in the report; its replay is written here."""
+    places = [study / run_id, *sorted(study.parent.glob(f"*/{run_id}"))]
+    folder = next((RunFolder(path) for path in places if (path / "configuration.yaml").is_file()), None)
+    if folder is None or not folder.trajectories.is_file():
+        return {"run_id": run_id, "facts": "", "replay": None}
+    scene = run_scene(folder.read_config(), load_trajectories(folder.trajectories), episodes)
+    replay = folder.path / "replay.html"
+    replay.write_text(page({"mode": "replay", "scene": scene}), encoding="utf-8")
+    evaluation = json.loads(folder.summary.read_text(encoding="utf-8"))["evaluation"]
+    success = evaluation["success_rate"]
+    facts = [
+        "success unknown" if success is None else f"success {100 * success:.0f}%",
+        f"return {evaluation['mean_return']:.2f}",
+        f"{evaluation['mean_episode_length']:.0f} decisions an episode",
+    ]
+    return {"run_id": run_id, "facts": ", ".join(facts), "replay": Path(os.path.relpath(replay, study)).as_posix()}
+
+
+def _title(path: Path) -> str:
+    return re.sub(r"^figure(\w+)$", r"Fig. \1", path.stem).replace("-", " ")
+
+
+def _inline(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
