@@ -4,6 +4,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from trainer.corridor import CORRIDOR
+
 PAPER_STEPS = 1_500_000
 PresetName = Literal["fast", "paper"]
 Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
@@ -254,18 +256,6 @@ class Preset:
     curiosity: CuriosityConfig
 
 
-# The corridor that presets ask a player for, on which curiosity decides between failure and success
-# (docs/calibration.md).
-CORRIDOR: dict[str, float] = {
-    "agent_speed": 3.0,
-    "agent_time_constant": 0.2,
-    "agent_spawn_x_min": -7.5,
-    "agent_spawn_x_max": -5.5,
-    "goal_x": 5.0,
-    "goal_radius": 2.0,
-    "opponent_speed": 1.5,
-    "opponent_target_x": 1.0,
-}
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
     # One area, 128 steps and 4 minibatches an update, as the Stable Baselines release that the paper used; a sixteenth

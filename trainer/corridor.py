@@ -1,10 +1,68 @@
-"""What a player reports of each ended episode over the statistics channel, by the corridor's contract."""
+"""All that only the paper's corridor has: contract, statistics, parameters, and the values that presets give them.
 
+Everything else in the trainer goes for any ML-Agents environment. This stands on the floor of the house, beside
+``config``: it imports ``corridor_server`` and the errors, and nothing else of the trainer.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+from mlagents_envs.base_env import BehaviorSpec
+
+from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.parameters import EpisodeParameters
+from corridor_server.protocol.samplers import Value
+from trainer.errors import TrainerError
+
+# What a player reports of each ended episode over the statistics channel.
 SUCCESS = "Corridor/Success"
 OPPONENT_CONTACTS = "Corridor/Opponent Contacts"
 WALL_CONTACTS = "Corridor/Wall Contacts"
+
+# The environment parameter that --penalty sets.
+PENALTY = "failure_penalty"
+# The corridor that presets ask a player for, on which curiosity decides between failure and success
+# (docs/calibration.md).
+CORRIDOR: dict[str, float] = {
+    "agent_speed": 3.0,
+    "agent_time_constant": 0.2,
+    "agent_spawn_x_min": -7.5,
+    "agent_spawn_x_max": -5.5,
+    "goal_x": 5.0,
+    "goal_radius": 2.0,
+    "opponent_speed": 1.5,
+    "opponent_target_x": 1.0,
+}
+
+
+def is_corridor(behavior: str) -> bool:
+    """Whether a behavior claims to be the paper's corridor."""
+    return behavior.partition("?")[0] == "Corridor"
+
+
+def check_contract(spec: BehaviorSpec) -> None:
+    """Refuses a behavior called Corridor that has other observations or actions than the corridor's.
+
+    Raises:
+        TrainerError: It does not keep the corridor's contract.
+    """
+    shapes = [tuple(observation.shape) for observation in spec.observation_specs]
+    vector = [shape[0] for shape in shapes if len(shape) == 1]
+    if len(vector) != 1 or vector[0] < 13 or (vector[0] - 8) % 5:
+        raise TrainerError(
+            f"Behavior Corridor has observations of shapes {shapes}, but one vector of 8 + 5K floats for K opponents "
+            "(13 for one) was expected; set the vector observation's Space Size to that and "
+            "collect what docs/contract.md lists."
+        )
+    action = spec.action_spec
+    if action.continuous_size != 2 or action.discrete_size:
+        raise TrainerError(
+            f"Behavior Corridor has {action.continuous_size} continuous actions and {action.discrete_size} discrete "
+            "branches, but 2 continuous actions and no discrete ones were expected; set Continuous Actions to 2 and "
+            "Discrete Branches to 0 in the scene's Behavior Parameters."
+        )
 
 
 def episode_info(statistics: dict[str, float]) -> dict[str, Any]:
@@ -15,3 +73,60 @@ def episode_info(statistics: dict[str, float]) -> dict[str, Any]:
     if SUCCESS in statistics:
         info["is_success"] = statistics[SUCCESS] > 0.5
     return info
+
+
+def check_parameter(name: str, value: Value) -> None:
+    """Refuses what our corridor can't be told.
+
+    Raises:
+        TrainerError: The corridor has no such parameter, or the value is out of its range.
+    """
+    try:
+        EpisodeParameters(CorridorConfig(), ()).set(name, value)
+    except ValueError as error:
+        raise TrainerError(str(error)) from error
+
+
+def check_ranges(parameters: Mapping[str, Any]) -> None:
+    """Refuses a range of our corridor that a parameter has turned round.
+
+    Raises:
+        TrainerError: A range begins above its end.
+    """
+    for name, (low, high) in _ranges(parameters).items():
+        if low > high:
+            raise TrainerError(
+                f"{name} would go from {low:g} to {high:g} (the end not given is the preset's or the corridor's), "
+                f"but the smaller number was expected first; give both {name}_min and {name}_max, or {name} alone."
+            )
+
+
+def corridor_of(penalty: float, environment_parameters: Mapping[str, Any]) -> CorridorConfig:
+    """The corridor that a run's built-in player makes, as far as it is the same in every episode.
+
+    Args:
+        penalty: The run's failure penalty.
+        environment_parameters: Of the run, as float32 numbers arrive at the player; samplers count for nothing here.
+    """
+    values = asdict(CorridorConfig())
+    given = {PENALTY: penalty, **environment_parameters}
+    sent = {name: float(np.float32(value)) for name, value in given.items() if isinstance(value, int | float)}
+    values |= {name: value for name, value in sent.items() if name in values} | _ranges(sent)
+    try:
+        return CorridorConfig.from_mapping(values)
+    except ValueError:  # another player's parameter of the same name
+        return CorridorConfig()
+
+
+def _ranges(parameters: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The corridor's ranges with the ends that parameters give: the later of NAME and NAME_min counts."""
+    ends = {name: list(value) for name, value in asdict(CorridorConfig()).items() if isinstance(value, tuple)}
+    for name, value in parameters.items():
+        of, _, end = name.rpartition("_")
+        if not isinstance(value, int | float):
+            continue
+        if name in ends:
+            ends[name] = [value, value]
+        elif of in ends and end in ("min", "max"):
+            ends[of][("min", "max").index(end)] = value
+    return {name: (low, high) for name, (low, high) in ends.items()}

@@ -26,8 +26,9 @@ from trainer.config import (
     RunConfig,
     preset_run,
 )
+from trainer.corridor import check_ranges
 from trainer.errors import TrainerError
-from trainer.players.settings import check_ranges, engine_config, environment_parameters, read_settings
+from trainer.players.settings import engine_config, environment_parameters, read_settings
 from trainer.runs.folder import RunFolder
 from trainer.signals import interrupt_on_every_signal
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from corridor_server.corridor import world
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
-from corridor_server.corridor.parameters import EpisodeParameters, Value
+from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.corridor.streams import Streams
+from corridor_server.protocol.samplers import Value
 
 
 @dataclass(frozen=True)

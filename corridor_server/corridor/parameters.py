@@ -2,63 +2,16 @@
 
 import difflib
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
 from corridor_server.corridor.corridor_config import CorridorConfig, settable_parameters
 from corridor_server.corridor.streams import Streams
 from corridor_server.corridor.world import Floats
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 
 SETTABLE = settable_parameters()
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """ML-Agents' uniform sampler: ``low`` to ``high``."""
-
-    seed: int
-    low: float
-    high: float
-
-    def sample(self, generator: np.random.Generator) -> float:
-        """Draws one value."""
-        return self.low + (self.high - self.low) * generator.random()
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """ML-Agents' Gaussian sampler."""
-
-    seed: int
-    mean: float
-    standard_deviation: float
-
-    def sample(self, generator: np.random.Generator) -> float:
-        """Draws one value."""
-        return self.mean + self.standard_deviation * generator.standard_normal()
-
-
-@dataclass(frozen=True)
-class MultiRangeUniform:
-    """ML-Agents' multi-range uniform sampler: uniform over the union of the ranges."""
-
-    seed: int
-    ranges: tuple[tuple[float, float], ...]
-
-    def sample(self, generator: np.random.Generator) -> float:
-        """Draws one value."""
-        lengths = [high - low for low, high in self.ranges]
-        left = generator.random() * sum(lengths)
-        for (low, _), length in zip(self.ranges, lengths, strict=True):
-            if left <= length:
-                return low + left
-            left -= length
-        return self.ranges[-1][1]
-
-
-Sampler = Uniform | Gaussian | MultiRangeUniform
-Value = float | Sampler
 
 
 class EpisodeParameters:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.corridor.areas import Batch
-from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform, Value
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 
 ENGINE_CONFIGURATION = uuid.UUID("e951342c-4f7e-11ea-b238-784f4387d1f7")
 ENVIRONMENT_PARAMETERS = uuid.UUID("534c891e-810f-11ea-a9d0-822485860400")

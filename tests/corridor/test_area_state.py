@@ -5,8 +5,8 @@ import pytest
 
 from corridor_server.corridor.areas import Areas, Batch
 from corridor_server.corridor.corridor_config import CorridorConfig
-from corridor_server.corridor.parameters import Gaussian, Uniform
 from corridor_server.protocol import side_channels
+from corridor_server.protocol.samplers import Gaussian, Uniform
 
 CONFIG = CorridorConfig(num_opponents=2)
 

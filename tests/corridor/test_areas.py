@@ -5,7 +5,7 @@ import pytest
 
 from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
-from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 
 IDLE = np.zeros((3, 2), np.float32)
 

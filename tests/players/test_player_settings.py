@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol.side_channels import read_engine_setting, read_environment_parameter
-from trainer.config import CORRIDOR, EngineConfig
+from trainer.config import EngineConfig
+from trainer.corridor import CORRIDOR
 from trainer.errors import TrainerError
 from trainer.main import Train, main
 from trainer.players.settings import channels

@@ -14,8 +14,8 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
 from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
-from corridor_server.corridor.parameters import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol import side_channels
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol.side_channels import SideChannelError
 
 

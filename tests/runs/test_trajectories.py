@@ -12,9 +12,9 @@ from recorded_run import GOLDEN, recorded_run, settings
 
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
 from trainer.main import Train
-from trainer.players.settings import corridor_of
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories, load_trajectories, save_trajectories
 from trainer.viewer.scene import FOREIGN, choose, episode_record, run_scene
@@ -97,7 +97,7 @@ def test_a_file_with_code_in_it_is_refused(tmp_path):
 
 def test_an_evaluation_records_what_the_in_process_world_says(tmp_path):
     recorded = load_trajectories(GOLDEN / "trajectories.npz")
-    world = dataclasses.asdict(corridor_of(CONFIG))
+    world = dataclasses.asdict(corridor_of(CONFIG.penalty, CONFIG.environment_parameters))
     for episode in recorded.episodes:
         env = CorridorEnv(area=episode.slot, **world)
         observation, _ = env.reset(seed=recorded.seed)
@@ -135,7 +135,7 @@ def test_the_page_has_the_recorded_numbers_and_what_is_hidden():
         # The opponent goes straight to it: it lies ahead on the opponent's line, at the x that it always has.
         start = episode.observations[0, 8:10] * 10
         heading = episode.observations[0, 11:13]
-        assert target[0] == corridor_of(CONFIG).opponent_target_x
+        assert target[0] == corridor_of(CONFIG.penalty, CONFIG.environment_parameters).opponent_target_x
         across = (target - start) / np.linalg.norm(target - start)
         assert np.allclose(across, heading / np.linalg.norm(heading), atol=1e-5)
 
@@ -193,11 +193,10 @@ def test_the_recorded_run_is_found_by_its_folder(tmp_path):
 
 def test_a_runs_corridor_is_what_its_player_was_told():
     """As float32, which the side channel carries; a range's own name sets both of its ends."""
-    told = corridor_of(
-        Train(
-            "r", env_param=("switch_radius=0.1", "agent_spawn_x=-8", "opponent_spawn_x_min=6"), penalty=0.5
-        ).run_config()
-    )
+    config = Train(
+        "r", env_param=("switch_radius=0.1", "agent_spawn_x=-8", "opponent_spawn_x_min=6"), penalty=0.5
+    ).run_config()
+    told = corridor_of(config.penalty, config.environment_parameters)
     assert told.switch_radius == float(np.float32(0.1))
     assert told.agent_spawn_x == (-8.0, -8.0)
     assert told.opponent_spawn_x == (6.0, CorridorConfig().opponent_spawn_x[1])

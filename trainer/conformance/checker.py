@@ -12,8 +12,9 @@ from rich.table import Table
 
 from trainer.conformance import PROTOCOL, CorridorContract
 from trainer.conformance.suite import Conformance, NotApplicable
+from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
-from trainer.players.environment import is_corridor, launch_path, place
+from trainer.players.environment import launch_path, place
 
 MARKS = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "not applicable": "[dim]n/a[/]"}
 Verdict = Literal["pass", "fail", "not applicable"]

@@ -28,6 +28,7 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from rich.console import Console
 
 from corridor_server.protocol.columnar import AgentRows, read_output, write_step
+from trainer.corridor import check_contract, is_corridor
 from trainer.errors import TrainerError
 from trainer.players.communicator import ExchangeCommunicator, parse, serialise
 
@@ -345,31 +346,8 @@ def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
         )
     name, spec = next(iter(specs.items()))
     if is_corridor(name):
-        _check_contract(spec)
+        check_contract(spec)
     return name, spec
-
-
-def is_corridor(behavior: str) -> bool:
-    """Whether a behavior claims to be the paper's corridor."""
-    return behavior.partition("?")[0] == "Corridor"
-
-
-def _check_contract(spec: BehaviorSpec) -> None:
-    shapes = [tuple(observation.shape) for observation in spec.observation_specs]
-    vector = [shape[0] for shape in shapes if len(shape) == 1]
-    if len(vector) != 1 or vector[0] < 13 or (vector[0] - 8) % 5:
-        raise TrainerError(
-            f"Behavior Corridor has observations of shapes {shapes}, but one vector of 8 + 5K floats for K opponents "
-            "(13 for one) was expected; set the vector observation's Space Size to that and "
-            "collect what docs/contract.md lists."
-        )
-    action = spec.action_spec
-    if action.continuous_size != 2 or action.discrete_size:
-        raise TrainerError(
-            f"Behavior Corridor has {action.continuous_size} continuous actions and {action.discrete_size} discrete "
-            "branches, but 2 continuous actions and no discrete ones were expected; set Continuous Actions to 2 and "
-            "Discrete Branches to 0 in the scene's Behavior Parameters."
-        )
 
 
 def is_loopback(host: str) -> bool:

@@ -19,19 +19,17 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from mlagents_envs.side_channel.engine_configuration_channel import EngineConfigurationChannel
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.side_channel import SideChannel
 
-from corridor_server.corridor.corridor_config import CorridorConfig
-from corridor_server.corridor.parameters import EpisodeParameters, Gaussian, MultiRangeUniform, Uniform, Value
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 from trainer.config import EngineConfig, RunConfig
+from trainer.corridor import PENALTY, check_parameter
 from trainer.errors import TrainerError
 
 SECTIONS = ("engine_settings", "environment_parameters")
-PENALTY = "failure_penalty"
 SAMPLERS = {
     "uniform": ("min_value", "max_value"),
     "gaussian": ("mean", "st_dev"),
@@ -105,14 +103,10 @@ def environment_parameters(texts: Sequence[str], from_file: Mapping[str, Any], e
             raise TrainerError(f"--env-param {text} is not of the form NAME=NUMBER, such as opponent_speed=1.5.")
     if PENALTY in parameters:
         raise TrainerError(f"The environment parameter {PENALTY} is set by --penalty; take it out.")
-    corridor = EpisodeParameters(CorridorConfig(), ())
     for name, value in parameters.items():
         parsed = _parse(name, value, 0)
         if env_is_ours:
-            try:
-                corridor.set(name, parsed)
-            except ValueError as error:
-                raise TrainerError(str(error)) from error
+            check_parameter(name, parsed)
     return parameters
 
 
@@ -137,46 +131,6 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
             case number:
                 parameters.set_float_parameter(name, number)
     return [engine, parameters]
-
-
-def check_ranges(parameters: Mapping[str, Any]) -> None:
-    """Refuses a range of our corridor that a parameter has turned round.
-
-    Raises:
-        TrainerError: A range begins above its end.
-    """
-    for name, (low, high) in _ranges(parameters).items():
-        if low > high:
-            raise TrainerError(
-                f"{name} would go from {low:g} to {high:g} (the end not given is the preset's or the corridor's), "
-                f"but the smaller number was expected first; give both {name}_min and {name}_max, or {name} alone."
-            )
-
-
-def corridor_of(config: RunConfig) -> CorridorConfig:
-    """The corridor that a run's built-in player makes, as far as it is the same in every episode."""
-    values = asdict(CorridorConfig())
-    given = {PENALTY: config.penalty, **config.environment_parameters}
-    sent = {name: float(np.float32(value)) for name, value in given.items() if isinstance(value, int | float)}
-    values |= {name: value for name, value in sent.items() if name in values} | _ranges(sent)
-    try:
-        return CorridorConfig.from_mapping(values)
-    except ValueError:  # another player's parameter of the same name
-        return CorridorConfig()
-
-
-def _ranges(parameters: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """The corridor's ranges with the ends that parameters give: the later of NAME and NAME_min counts."""
-    ends = {name: list(value) for name, value in asdict(CorridorConfig()).items() if isinstance(value, tuple)}
-    for name, value in parameters.items():
-        of, _, end = name.rpartition("_")
-        if not isinstance(value, int | float):
-            continue
-        if name in ends:
-            ends[name] = [value, value]
-        elif of in ends and end in ("min", "max"):
-            ends[of][("min", "max").index(end)] = value
-    return {name: (low, high) for name, (low, high) in ends.items()}
 
 
 def _parse(name: str, value: Any, seed: int) -> Value:

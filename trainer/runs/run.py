@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from trainer.config import RestartLimits, RunConfig
+from trainer.corridor import corridor_of, is_corridor
 from trainer.errors import TrainerError
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.players.behavior import behavior_record
-from trainer.players.environment import LOOPBACK, can_be_launched, is_corridor
-from trainer.players.settings import corridor_of
+from trainer.players.environment import LOOPBACK, can_be_launched
 from trainer.players.several import open_player
 from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
 from trainer.runs.evaluation import Episode, evaluate, summarise
@@ -206,7 +206,8 @@ def _report(
     console.print(table)
     if is_corridor(behavior):
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
-        save_episode_paths(shown, title, folder.episode_paths, corridor_of(config))
+        corridor = corridor_of(config.penalty, config.environment_parameters)
+        save_episode_paths(shown, title, folder.episode_paths, corridor)
     console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
 
 

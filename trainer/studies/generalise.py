@@ -25,9 +25,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from trainer.config import RunConfig
+from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
 from trainer.players.environment import BUILTIN
-from trainer.players.settings import corridor_of
 from trainer.players.several import open_player
 from trainer.runs.checkpoint import checkpoints
 from trainer.runs.evaluation import evaluate, summarise
@@ -122,7 +122,7 @@ def nearest(observations: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def panels(config: RunConfig) -> list[Panel]:
     """What is tried with a run's policy; numbers relative to the corridor that it was trained on."""
-    known = dataclasses.asdict(corridor_of(config))
+    known = dataclasses.asdict(corridor_of(config.penalty, config.environment_parameters))
     known[f"{SPAWN}_min"], known[f"{SPAWN}_max"] = known.pop(SPAWN)
 
     def scaled(factor: float, *names: str) -> dict[str, float]:

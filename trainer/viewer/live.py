@@ -73,7 +73,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     """
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from trainer.players.settings import corridor_of
+    from trainer.corridor import corridor_of
     from trainer.runs.evaluation import evaluate
     from trainer.runs.folder import RunFolder
     from trainer.runs.run import evaluation_seed
@@ -84,7 +84,8 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     folder = RunFolder(run)
     config = folder.read_config()
     seed = evaluation_seed(config)
-    player = DummyVecEnv([partial(_Reporting, area, seed, corridor_of(config)) for area in range(EPISODES)])
+    corridor = corridor_of(config.penalty, config.environment_parameters)
+    player = DummyVecEnv([partial(_Reporting, area, seed, corridor) for area in range(EPISODES)])
     stages = build_stages(config, player)
     counters = load_trained(config, folder, stages, checkpoint)
     episodes = evaluate(stages.model, stages.normaliser, player, EPISODES)

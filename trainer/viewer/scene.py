@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.config import RunConfig
+from trainer.corridor import corridor_of, is_corridor
 from trainer.errors import TrainerError
-from trainer.players.environment import is_corridor
-from trainer.players.settings import corridor_of
 from trainer.players.several import PLAYER_STRIDE, SEEDS
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories
@@ -43,7 +42,7 @@ def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHO
     """
     if not is_corridor(trajectories.behavior):
         raise TrainerError(f"The run's behavior is {trajectories.behavior}, but only the corridor can be shown.")
-    corridor = corridor_of(config)
+    corridor = corridor_of(config.penalty, config.environment_parameters)
     chosen = choose(trajectories.episodes, episodes)
     hidden = _hidden_targets(config, trajectories, chosen, corridor)
     return {
