@@ -61,7 +61,7 @@ def free_port() -> int:
 @pytest.fixture
 def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., object]]:
     """Opens our player through the real UnityEnvironment; closes what was opened."""
-    from trainer.players.environment import open_environment
+    from trainer.players.opening import open_environment
 
     opened = []
 
@@ -72,7 +72,7 @@ def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., obje
 
     yield open_one
     for environment in opened:
-        if environment._loaded:
+        if environment.is_open:
             environment.close()
 
 

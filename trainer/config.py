@@ -167,6 +167,15 @@ class EngineConfig:
 
 
 @dataclass(frozen=True)
+class ConnectionOptions:
+    """How players are reached."""
+
+    base_port: int = 5005
+    listen: str = "localhost"
+    timeout_wait: int = 60
+
+
+@dataclass(frozen=True)
 class RestartLimits:
     """How often one player may be started again after it died or hung; as ``mlagents-learn``, -1 means no limit.
 

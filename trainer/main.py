@@ -18,6 +18,7 @@ from trainer.config import (
     PAPER_STEPS,
     PRESETS,
     Algorithm,
+    ConnectionOptions,
     EngineConfig,
     ExecutorName,
     Intrinsic,
@@ -30,7 +31,7 @@ from trainer.corridor import check_ranges
 from trainer.errors import TrainerError
 from trainer.players.settings import engine_config, environment_parameters, read_settings
 from trainer.runs.folder import RunFolder
-from trainer.signals import interrupt_on_every_signal
+from trainer.signals import interrupt_on_stop_signals
 
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
 ENV_ARGS = "--env-args"
@@ -429,7 +430,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if env_args and isinstance(command, Train):
         command = dataclasses.replace(command, env_args=tuple(env_args))
     console = Console(stderr=True)
-    interrupt_on_every_signal()
+    interrupt_on_stop_signals()
     try:
         return _run(command, shlex.join(["corridor", *arguments]))
     except TrainerError as error:
@@ -461,7 +462,7 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
         return 0
     if isinstance(command, Train):
         config, limits = command.run_config(), command.restart_limits()
-        from trainer.players.environment import check_launchable
+        from trainer.players.location import check_launchable
 
         check_launchable(config.env)  # a bad player or file is refused before a folder is made
         if command.from_sb3 is not None and not command.resume:
@@ -474,12 +475,10 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
         finished = run.train_run(
             config,
             folder,
-            port=command.base_port,
-            timeout_wait=command.timeout_wait,
+            ConnectionOptions(command.base_port, command.listen, command.timeout_wait),
             episodes=command.eval_episodes,
             resumed=command.resume,
             limits=limits,
-            listen=command.listen,
         )
         return 0 if finished else INTERRUPTED
     if isinstance(command, Replay):
@@ -501,10 +500,8 @@ def _run(command: Train | Evaluate | Export | Study | Replay | Watch | Check | B
     run.evaluate_run(
         config,
         folder,
-        port=command.base_port,
-        timeout_wait=command.timeout_wait,
+        ConnectionOptions(command.base_port, command.listen, command.timeout_wait),
         episodes=command.episodes,
-        listen=command.listen,
     )
     return 0
 
@@ -571,10 +568,9 @@ def _replay(command: Replay) -> int:
     replay_run(
         folder.read_config(),
         folder,
+        ConnectionOptions(base_port=command.base_port, timeout_wait=command.timeout_wait),
         checkpoint=command.checkpoint,
         episodes=command.episodes,
-        port=command.base_port,
-        timeout_wait=command.timeout_wait,
     )
     return 0
 

@@ -5,20 +5,47 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
-def interrupt_on_every_signal() -> None:
+def interrupt_on_stop_signals() -> None:
     """Makes SIGTERM and SIGHUP do what Ctrl-C does: end the command cleanly, closing its players."""
-    for number in heeded():
+    for number in stop_signals():
         signal.signal(number, _interrupt)
 
 
-def heeded() -> list[int]:
+def stop_signals() -> list[int]:
     """The signals that ask to stop; without SIGHUP where nohup has it ignored."""
     hangup = getattr(signal, "SIGHUP", None)
     return [number for number in STOPPING if number != hangup or signal.getsignal(number) != signal.SIG_IGN]
+
+
+class StopSignals:
+    """While it is entered, the first stop signal asks for a clean stop; a second one interrupts at once.
+
+    Attributes:
+        received: Whether one has come.
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        self._former: dict[int, Any] = {}
+
+    def __enter__(self) -> "StopSignals":
+        for number in stop_signals():
+            self._former[number] = signal.signal(number, self._receive)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.received:
+            raise KeyboardInterrupt
+        self.received = True
 
 
 @contextmanager
@@ -39,7 +66,7 @@ def deferred() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    former = {number: signal.signal(number, lambda each, _: received.append(each)) for number in heeded()}
+    former = {number: signal.signal(number, lambda each, _: received.append(each)) for number in stop_signals()}
     try:
         yield
     finally:

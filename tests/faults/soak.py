@@ -48,7 +48,7 @@ def exchange(steps: int, port: int) -> Iterator[list[float | str]]:
     from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
     import trainer  # noqa: F401 - makes mlagents_envs importable
-    from trainer.players.environment import open_environment
+    from trainer.players.opening import open_environment
     from trainer.players.vec_env import UnityVecEnv
 
     areas = 4096

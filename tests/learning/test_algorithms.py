@@ -13,8 +13,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from trainer.config import CuriosityConfig, DDPGConfig, RunConfig, preset_run
 from trainer.errors import TrainerError
 from trainer.learning.rnd import RandomNetworkDistillation
+from trainer.learning.stages import Stages, build_stages
 from trainer.main import main
-from trainer.runs.training import Stages, build_stages
 
 BOX = spaces.Box(-1, 1, (2,), np.float32)
 

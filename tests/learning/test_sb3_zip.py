@@ -11,13 +11,14 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.sb3_zip import load_sb3_policy
+from trainer.learning.stages import build_stages
 from trainer.main import Train, main
 from trainer.runs.checkpoint import read_checkpoint
 from trainer.runs.folder import RunFolder
 from trainer.runs.run import train_run
-from trainer.runs.training import build_stages
 
 
 def saved(path: Path, size: int = 64, **changes: torch.Tensor) -> PPO:
@@ -45,7 +46,7 @@ def test_a_run_begins_with_it_and_says_what_it_does_not_take(tmp_path, free_port
     saved(tmp_path / "model.zip", log_std=torch.full((2,), -5.0))
     config = Train("r", num_areas=2, steps=1, from_sb3=tmp_path / "model.zip").run_config()
     folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
-    assert train_run(config, folder, port=free_port, timeout_wait=120, episodes=1, resumed=False)
+    assert train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)
     assert "only the policy's weights are used" in " ".join(capsys.readouterr().out.split())
     assert folder.read_config() == config
     learned = read_checkpoint(folder.checkpoints).arrays["policy/log_std"]

@@ -11,7 +11,7 @@ from scripted import Scripted, spec
 from stable_baselines3.common.vec_env import VecMonitor
 
 from trainer.errors import TrainerError
-from trainer.players.environment import open_environment
+from trainer.players.opening import open_environment
 from trainer.players.vec_env import UnityVecEnv
 
 CONTINUOUS = ActionSpec.create_continuous(1)

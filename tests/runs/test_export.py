@@ -15,12 +15,12 @@ from scripted import spec
 from stable_baselines3 import SAC
 
 from trainer.errors import TrainerError
+from trainer.learning.stages import Stages, build_stages
 from trainer.main import Train
 from trainer.runs.checkpoint import find_checkpoint
 from trainer.runs.folder import RunFolder
 from trainer.runs.onnx_file import _Nobody, policy_as_onnx
-from trainer.runs.run_state import Stages
-from trainer.runs.training import build_stages, load_trained
+from trainer.runs.training import load_trained
 
 BATCH = 4096
 

@@ -12,7 +12,7 @@ import pytest
 from conftest import BIN
 
 from trainer.main import main
-from trainer.runs.training import _Recorder
+from trainer.runs.callbacks import StopOnSignal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
 from harness import Run, close_folder, cut_connection, hurt_player, mount_small, send, stop_with, train_with_kills
@@ -187,13 +187,13 @@ def test_a_summary_names_the_final_policy(uncut):
 
 def test_a_stop_at_a_rollouts_last_step_is_not_taken_for_an_update(tmp_path, free_port, monkeypatch):
     """8 areas x 16 steps: the third rollout ends at step 384, but nothing has been learned from it."""
-    step = _Recorder._on_step
+    step = StopOnSignal._on_step
 
     def stop_at_384(self):
         self._signals.received = self.num_timesteps == 384
         return step(self)
 
-    monkeypatch.setattr(_Recorder, "_on_step", stop_at_384)
+    monkeypatch.setattr(StopOnSignal, "_on_step", stop_at_384)
     options = ["--run-id", "r", "--results-dir", str(tmp_path), "--base-port", str(free_port), "--num-areas", "8"]
     assert main(["train", *options, "--steps", "1000"]) == 130
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["env_steps"] == 256

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from stable_baselines3.common.env_util import make_vec_env
 
+from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.lean_ppo import LeanPPO
+from trainer.learning.stages import build_stages
 from trainer.main import Train
 from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
-from trainer.runs.folder import ProgressFile, RunFolder
+from trainer.runs.folder import RunFolder
+from trainer.runs.logs import ProgressFile
 from trainer.runs.run import train_run
-from trainer.runs.run_state import load_policy
-from trainer.runs.training import build_stages
+from trainer.runs.run_state import restore_trained
 
 
 @pytest.mark.parametrize(
@@ -36,7 +38,7 @@ def test_weights_or_losses_that_go_bad_stop_the_run_and_the_update_before_is_kep
     config = Train("r", num_areas=8, steps=4_000).run_config()
     folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
     with pytest.raises(TrainerError, match=f"After the update at step 384: {says}"):
-        train_run(config, folder, port=free_port, timeout_wait=120, episodes=1, resumed=False)
+        train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)
     assert [path.name for path in checkpoints(folder.checkpoints)] == ["step-0000000256.safetensors"]
     assert read_checkpoint(folder.checkpoints).facts["env_steps"] == 256
 
@@ -48,13 +50,13 @@ def checkpoint(**facts: object) -> Checkpoint:
 def test_a_checkpoint_for_another_observation_size_says_so():
     stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
     with pytest.raises(TrainerError, match="is for observations of 18 floats, but the player's have 3"):
-        load_policy(checkpoint(), stages, "ppo")
+        restore_trained(checkpoint(), stages, "ppo")
 
 
 def test_a_checkpoint_of_another_algorithm_says_so():
     stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
     with pytest.raises(TrainerError, match="is of a run with --algo trpo, but this one has ppo"):
-        load_policy(checkpoint(config={"algo": "trpo"}), stages, "ppo")
+        restore_trained(checkpoint(config={"algo": "trpo"}), stages, "ppo")
 
 
 def test_rows_after_the_checkpoint_and_rows_that_a_full_disk_cut_are_dropped(tmp_path):

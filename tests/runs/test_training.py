@@ -19,10 +19,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from trainer.errors import TrainerError
+from trainer.learning.deferring import Deferring
 from trainer.learning.normaliser import ObservationStatistics
+from trainer.learning.stages import build_stages
 from trainer.main import Train
-from trainer.runs.folder import PROGRESS_COLUMNS
-from trainer.runs.training import Meanwhile, build_stages
+from trainer.runs.logs import PROGRESS_COLUMNS
 
 TIMING = {"steps_per_second", "wall_seconds"}
 
@@ -242,21 +243,21 @@ class Telling(DummyVecEnv):
         return super().step_wait()
 
 
-def test_what_was_put_off_is_done_once_while_the_player_moves():
+def test_what_was_deferred_is_done_once_while_the_player_moves():
     told: list[str] = []
-    stage = Meanwhile(Telling(told))
+    stage = Deferring(Telling(told))
     stage.reset()
-    stage.put_off(lambda: told.append("save"))
+    stage.defer(lambda: told.append("save"))
     for _ in range(2):
         stage.step(np.zeros((1, 1), np.float32))
     assert told == ["send", "save", "wait", "send", "wait"]
 
 
-def test_what_was_put_off_is_done_even_if_the_actions_cant_be_sent():
+def test_what_was_deferred_is_done_even_if_the_actions_cant_be_sent():
     told: list[str] = []
-    stage = Meanwhile(Telling(told))
+    stage = Deferring(Telling(told))
     stage.reset()
-    stage.put_off(lambda: told.append("save"))
+    stage.defer(lambda: told.append("save"))
     with pytest.raises(TrainerError, match="no number"):
         stage.step(np.full((1, 1), np.nan, np.float32))
     assert told == ["save"]

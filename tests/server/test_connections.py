@@ -15,7 +15,8 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from corridor_server.connection import Connection
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player
-from trainer.players.environment import Environment, open_environment
+from trainer.players.environment import Environment
+from trainer.players.opening import open_environment
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
 

@@ -185,7 +185,7 @@ def test_unknown_arguments_are_ignored_with_a_line_in_the_log(free_port, tmp_pat
 def test_a_killed_trainer_ends_the_player(free_port, tmp_path):
     program = (
         "import trainer, os, signal\n"
-        "from trainer.players.environment import open_environment\n"
+        "from trainer.players.opening import open_environment\n"
         f"e = open_environment('builtin', seed=1, num_areas=1, port={free_port}, timeout_wait=30,"
         f" log_folder=__import__('pathlib').Path({str(tmp_path)!r}))\n"
         "e.reset(); print(e._process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
@@ -200,7 +200,7 @@ def test_a_killed_trainer_ends_the_player(free_port, tmp_path):
 
 def test_a_program_that_forgets_to_close_does_not_hang(free_port):
     program = (
-        "import trainer\nfrom trainer.players.environment import open_environment\n"
+        "import trainer\nfrom trainer.players.opening import open_environment\n"
         f"e = open_environment('builtin', seed=1, num_areas=1, port={free_port}, timeout_wait=30)\ne.reset()"
     )
     assert subprocess.run([str(BIN / "python"), "-c", program], timeout=30).returncode == 0

@@ -39,7 +39,8 @@ from corridor_server.protocol.messages import API_VERSION, EXCHANGE, RESET, SERV
 from corridor_server.protocol.wire import BEHAVIOR
 from trainer.errors import TrainerError
 from trainer.players.communicator import OK, STOP
-from trainer.players.environment import BUILTIN, launch_path, open_environment, place
+from trainer.players.location import BUILTIN, launch_path, place
+from trainer.players.opening import open_environment
 
 AREAS = (1, 16, 64, 256, 1024, 4096)
 ROUNDS = 5

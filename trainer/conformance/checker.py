@@ -14,7 +14,7 @@ from trainer.conformance import PROTOCOL, CorridorContract
 from trainer.conformance.suite import Conformance, NotApplicable
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
-from trainer.players.environment import launch_path, place
+from trainer.players.location import launch_path, place
 
 MARKS = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "not applicable": "[dim]n/a[/]"}
 Verdict = Literal["pass", "fail", "not applicable"]

@@ -4,6 +4,7 @@
 adds c x r_i to the reward and trains the module that gives r_i on what passes through it.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,9 @@ class Curiosity(VecEnvWrapper):
     Attributes:
         metrics: Means of the module's losses over its last update, and of ``reward`` (c x scale x r_i) over the last
             ``update_every`` steps; each is missing before there is one.
+        last_observation: What the running episodes showed last, (n, size) float32.
+        episode_sums: c x scale x r_i of the running episodes so far, (n,).
+        episodes: Where the running episodes are, as a part that can be written down and taken up again.
     """
 
     def __init__(self, venv: VecEnv, config: CuriosityConfig, update_every: int, seed: int) -> None:
@@ -49,14 +53,15 @@ class Curiosity(VecEnvWrapper):
         self._next_observations = np.zeros_like(self._observations)
         self._actions = np.zeros((update_every, self.num_envs, action_size), dtype=np.float32)
         self._rewards = np.zeros((update_every, self.num_envs), dtype=np.float32)
-        self._episode_sums = np.zeros(self.num_envs)
+        self.episode_sums = np.zeros(self.num_envs)
         self._filled = 0
+        self.episodes = _RunningEpisodes(self)
 
     def reset(self) -> VecEnvObs:
         """Resets the environments."""
-        self._last_observation = np.asarray(self.venv.reset(), dtype=np.float32)
-        self._episode_sums[:] = 0.0
-        return self._last_observation
+        self.last_observation = np.asarray(self.venv.reset(), dtype=np.float32)
+        self.episode_sums[:] = 0.0
+        return self.last_observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Passes the actions on, and learns while the player moves if it is time to."""
@@ -75,15 +80,15 @@ class Curiosity(VecEnvWrapper):
         if self.config.next_state == "terminal":
             for i in ended:
                 next_observations[i] = infos[i]["terminal_observation"]
-        self._observations[row] = self._last_observation
-        self._last_observation = observations
+        self._observations[row] = self.last_observation
+        self.last_observation = observations
         intrinsic = self.module.intrinsic_reward(self._observations[row], self._actions[row], next_observations)
         intrinsic *= np.float32(self.config.c * self.module.scale)
         self._rewards[row] = intrinsic
-        self._episode_sums += intrinsic
+        self.episode_sums += intrinsic
         for i in ended:
-            infos[i]["curiosity_return"] = float(self._episode_sums[i])
-            self._episode_sums[i] = 0.0
+            infos[i]["curiosity_return"] = float(self.episode_sums[i])
+            self.episode_sums[i] = 0.0
         self._filled += 1
         if self._filled == len(self._rewards):
             self.metrics = {**self.metrics, "reward": float(self._rewards.mean())}
@@ -104,28 +109,39 @@ class Curiosity(VecEnvWrapper):
         means = {name: float(np.mean([loss[name] for loss in losses])) for name in losses[0]}
         self.metrics = {**self.metrics, **means}
 
-    def state_dict(self) -> dict[str, NDArray[Any]]:
-        """All that it has learned and remembers between two updates; the arrays are views where they can be."""
+    def state_dict(self) -> dict[str, Any]:
+        """All that it has learned, the state of its random stream, and the last update's metrics."""
         self.learn()
-        return {**self.module.adam.state_dict(), "episode_sums": self._episode_sums}
+        learned: dict[str, Any] = dict(self.module.adam.state_dict())
+        return learned | {"random": self.generator.bit_generator.state, "metrics": self.metrics}
 
-    def facts(self) -> dict[str, Any]:
-        """What else there is to remember: the state of its random stream, and the last update's metrics."""
-        self.learn()
-        return {"random": self.generator.bit_generator.state, "metrics": self.metrics}
-
-    def load_state_dict(self, state: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
-        """Takes over what ``state_dict`` and ``facts`` gave.
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over what ``state_dict`` gave.
 
         Raises:
             KeyError: Something is missing.
             ValueError: An array is of another size.
         """
         self.module.adam.load_state_dict(state)
-        self.generator.bit_generator.state = facts["random"]
-        self.metrics = dict(facts["metrics"])
+        self.generator.bit_generator.state = state["random"]
+        self.metrics = dict(state["metrics"])
 
-    def continue_from(self, observations: NDArray[np.float32], episode_sums: NDArray[np.float64]) -> None:
-        """Goes on in the middle of episodes, (n, observation size) and (n,), instead of after a reset."""
-        self._last_observation = observations
-        self._episode_sums[:] = episode_sums
+
+class _RunningEpisodes:
+    """Where a stage's running episodes are."""
+
+    def __init__(self, stage: Curiosity) -> None:
+        self._stage = stage
+
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """``observations``, (n, size), the last ones, and ``sums``, (n,), of the intrinsic reward; views."""
+        return {"observations": self._stage.last_observation, "sums": self._stage.episode_sums}
+
+    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Goes on in the middle of episodes, instead of after a reset.
+
+        Raises:
+            KeyError: Something is missing.
+        """
+        self._stage.last_observation = state["observations"].copy()
+        self._stage.episode_sums[:] = state["sums"]

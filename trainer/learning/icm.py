@@ -5,7 +5,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from trainer.config import CuriosityConfig
-from trainer.learning.networks import Floats, Network, joined
+from trainer.learning.networks import Network, Singles, joined
 
 
 class IntrinsicCuriosityModule:
@@ -46,7 +46,7 @@ class IntrinsicCuriosityModule:
         self._rates = np.full(self.adam.parameters.size, config.learning_rate, np.float32)
         self._rates[: self.encoder.size] *= np.float32(config.encoder_rate)
 
-    def intrinsic_reward(self, observations: Floats, actions: Floats, next_observations: Floats) -> Floats:
+    def intrinsic_reward(self, observations: Singles, actions: Singles, next_observations: Singles) -> Singles:
         """r_i of eq. 6, (n,): half the squared distance between predicted and actual features.
 
         Args:
@@ -58,11 +58,11 @@ class IntrinsicCuriosityModule:
         _, features = self.encoder(np.concatenate((observations, next_observations)))
         _, predicted = self.forward_model(np.concatenate((features[:count], self._inputs(actions)), axis=1))
         predicted -= features[count:]
-        reward: Floats = np.float32(0.5) * np.einsum("ij,ij->i", predicted, predicted)
+        reward: Singles = np.float32(0.5) * np.einsum("ij,ij->i", predicted, predicted)
         return reward
 
     def differentiate(
-        self, observations: Floats, actions: Floats, next_observations: Floats
+        self, observations: Singles, actions: Singles, next_observations: Singles
     ) -> tuple[np.float32, np.float32]:
         """Fills in the gradient of the weighted sum of both models' mean errors; returns the two means."""
         count, size = len(observations), self._features
@@ -88,18 +88,18 @@ class IntrinsicCuriosityModule:
         self.encoder.differentiate(both, hidden, slope)
         return forward_loss, inverse_loss
 
-    def learn(self, observations: Floats, actions: Floats, next_observations: Floats) -> dict[str, float]:
+    def learn(self, observations: Singles, actions: Singles, next_observations: Singles) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``forward_loss`` and ``inverse_loss``."""
         forward_loss, inverse_loss = self.differentiate(observations, actions, next_observations)
         self.adam.descend(self._rates)
         return {"forward_loss": float(forward_loss), "inverse_loss": float(inverse_loss)}
 
-    def _inputs(self, actions: Floats) -> Floats:
+    def _inputs(self, actions: Singles) -> Singles:
         if not self._choices:
             return actions
         return np.eye(self._choices, dtype=np.float32)[actions.astype(np.intp).ravel()]
 
-    def _inverse_error(self, guessed: Floats, taken: Floats) -> tuple[np.float32, Floats]:
+    def _inverse_error(self, guessed: Singles, taken: Singles) -> tuple[np.float32, Singles]:
         """The mean error of guessed actions, and its slope for each, (n, action size), times n."""
         if not self._choices:
             difference = guessed - taken

@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-from trainer.learning.networks import Adam, Floats
+from trainer.learning.networks import Adam, Singles
 
 LOG_SQRT_2_PI = np.float32(0.5 * math.log(2.0 * math.pi))
 ACTOR, CRITIC, BOTH = slice(0, 1), slice(1, 2), slice(0, 2)
@@ -174,30 +174,30 @@ class _Networks:
         for step in self._published_steps:
             step.fill_(self._adam.steps)
 
-    def noise(self, count: int) -> Floats:
+    def noise(self, count: int) -> Singles:
         """Standard normal numbers for the actions of ``count`` observations, (count, actions), from torch's stream."""
-        noise: Floats = torch.randn(count, self.action_size).numpy()
+        noise: Singles = torch.randn(count, self.action_size).numpy()
         return noise
 
-    def act(self, observations: Floats, noise: Floats) -> Floats:
+    def act(self, observations: Singles, noise: Singles) -> Singles:
         """Samples actions, (n, actions)."""
         _, hidden = self._hidden(observations, ACTOR)
-        actions: Floats = hidden[0] @ self._wa.T + self._ba + noise * np.exp(self.log_std)
+        actions: Singles = hidden[0] @ self._wa.T + self._ba + noise * np.exp(self.log_std)
         return actions
 
-    def log_probs(self, noise: Floats) -> Floats:
+    def log_probs(self, noise: Singles) -> Singles:
         """Log probabilities, (n,), of the actions that ``act`` made of noise."""
-        log_probs: Floats = -(0.5 * np.square(noise) + self.log_std + LOG_SQRT_2_PI).sum(axis=1)
+        log_probs: Singles = -(0.5 * np.square(noise) + self.log_std + LOG_SQRT_2_PI).sum(axis=1)
         return log_probs
 
-    def values(self, observations: Floats) -> Floats:
+    def values(self, observations: Singles) -> Singles:
         """The critic's values, (n,)."""
         _, hidden = self._hidden(observations, CRITIC)
-        values: Floats = (hidden[0] @ self._wv.T + self._bv)[:, 0]
+        values: Singles = (hidden[0] @ self._wv.T + self._bv)[:, 0]
         return values
 
     def differentiate(
-        self, batch: Floats, clip_range: float, clip_range_vf: float | None, ent_coef: float, vf_coef: float
+        self, batch: Singles, clip_range: float, clip_range_vf: float | None, ent_coef: float, vf_coef: float
     ) -> tuple[float, float, float, float]:
         """Fills in the gradient of PPO's loss (eq. 5) for a minibatch of rows of ``_flattened``.
 
@@ -264,7 +264,7 @@ class _Networks:
             gradient *= np.float32(max_grad_norm / (norm + 1e-6))
         self._adam.descend(group["lr"], group["betas"], group["eps"])
 
-    def _hidden(self, observations: Floats, networks: slice) -> tuple[Floats, Floats]:
+    def _hidden(self, observations: Singles, networks: slice) -> tuple[Singles, Singles]:
         """Both hidden layers of some networks, (networks, n, units): actor first."""
         first = np.matmul(observations, self._w1[networks].transpose(0, 2, 1))
         first += self._b1[networks]
@@ -274,12 +274,12 @@ class _Networks:
         np.tanh(second, out=second)
         return first, second
 
-    def _views(self, flat: Floats) -> list[Floats]:
+    def _views(self, flat: Singles) -> list[Singles]:
         ends = np.cumsum([parameter.numel() for parameter in self._parameters])[:-1]
         parts = np.split(flat, ends)
         return [part.reshape(parameter.shape) for part, parameter in zip(parts, self._parameters, strict=True)]
 
-    def _stacked(self, flat: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _stacked(self, flat: Singles) -> tuple[Singles, Singles, Singles, Singles]:
         """Weights (2, out, in) and biases (2, 1, out) of both hidden layers."""
         hidden, size = self._parameters[0].shape
         lengths = np.cumsum([2 * hidden * size, 2 * hidden, 2 * hidden * hidden, 2 * hidden])
@@ -301,7 +301,7 @@ def _same_form(actor: nn.Sequential, critic: nn.Sequential) -> bool:
     return shapes[0][0][0] == shapes[0][2][0]
 
 
-def _flattened(buffer: RolloutBuffer, size: int, actions: int) -> Floats:
+def _flattened(buffer: RolloutBuffer, size: int, actions: int) -> Singles:
     """A rollout's transitions as rows, environment by environment as SB3's buffer orders them.
 
     Each is observation, action, old log probability, advantage, old value, return.

@@ -5,12 +5,12 @@ many layers there are; each layer's arrays are views of them.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+Singles = NDArray[np.float32]
 
 
 class Adam:
@@ -28,7 +28,7 @@ class Adam:
         self.parameters, self.gradient, self.moment, self.square = (np.zeros(size, np.float32) for _ in range(4))
         self.steps = 0
 
-    def descend(self, rate: float | Floats, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
+    def descend(self, rate: float | Singles, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
         """Takes one step against the gradient, as ``torch.optim.Adam`` does, at one rate or each parameter's own."""
         self.steps += 1
         beta1, beta2 = betas
@@ -40,12 +40,12 @@ class Adam:
         denominator += np.float32(epsilon)
         self.parameters -= self.moment / denominator * np.asarray(rate / (1.0 - beta1**self.steps), np.float32)
 
-    def state_dict(self) -> dict[str, Floats]:
+    def state_dict(self) -> dict[str, Singles]:
         """Everything that it learns and remembers; the arrays are copies."""
         names = ("parameters", "moment", "square")
         return {**{name: getattr(self, name).copy() for name in names}, "steps": np.array([self.steps], np.float32)}
 
-    def load_state_dict(self, state: dict[str, Floats]) -> None:
+    def load_state_dict(self, state: Mapping[str, Singles]) -> None:
         """Takes over what ``state_dict`` gave.
 
         Raises:
@@ -53,7 +53,7 @@ class Adam:
             ValueError: An array is of another size.
         """
         for name in ("parameters", "moment", "square"):
-            own: Floats = getattr(self, name)
+            own: Singles = getattr(self, name)
             if state[name].shape != own.shape:
                 raise ValueError(f"{name} has {state[name].size} numbers, but {own.size} were expected.")
             own[:] = state[name]
@@ -73,7 +73,7 @@ class Network:
         self.shapes = [(hidden, inputs), (hidden,), (outputs, hidden), (outputs,)]
         self.size = sum(math.prod(shape) for shape in self.shapes)
 
-    def attach(self, parameters: Floats, gradient: Floats) -> None:
+    def attach(self, parameters: Singles, gradient: Singles) -> None:
         """Makes the layers views of these vectors, each (size,)."""
         self.w1, self.b1, self.w2, self.b2 = _views(parameters, self.shapes)
         self._gw1, self._gb1, self._gw2, self._gb2 = _views(gradient, self.shapes)
@@ -85,20 +85,20 @@ class Network:
             weight[...] = generator.uniform(-bound, bound, weight.shape)
             bias[...] = generator.uniform(-bound, bound, bias.shape)
 
-    def __call__(self, inputs: Floats) -> tuple[Floats, Floats]:
+    def __call__(self, inputs: Singles) -> tuple[Singles, Singles]:
         """The hidden layer, (n, hidden), and the output, (n, outputs), of inputs, (n, inputs)."""
-        hidden: Floats = inputs @ self.w1.T
+        hidden: Singles = inputs @ self.w1.T
         hidden += self.b1
         np.tanh(hidden, out=hidden)
-        output: Floats = hidden @ self.w2.T
+        output: Singles = hidden @ self.w2.T
         output += self.b2
         return hidden, output
 
-    def differentiate(self, inputs: Floats, hidden: Floats, slope: Floats) -> Floats:
+    def differentiate(self, inputs: Singles, hidden: Singles, slope: Singles) -> Singles:
         """Fills in the gradient for d loss / d output, (n, outputs); returns d loss / d hidden before its tanh."""
         np.matmul(slope.T, hidden, out=self._gw2)
         slope.sum(axis=0, out=self._gb2)
-        back: Floats = slope @ self.w2
+        back: Singles = slope @ self.w2
         back *= 1.0 - np.square(hidden)
         np.matmul(back.T, inputs, out=self._gw1)
         back.sum(axis=0, out=self._gb1)
@@ -117,6 +117,6 @@ def joined(networks: Sequence[Network], generator: np.random.Generator) -> Adam:
     return adam
 
 
-def _views(flat: Floats, shapes: Sequence[tuple[int, ...]]) -> list[Floats]:
+def _views(flat: Singles, shapes: Sequence[tuple[int, ...]]) -> list[Singles]:
     ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
     return [part.reshape(shape) for part, shape in zip(np.split(flat, ends), shapes, strict=True)]

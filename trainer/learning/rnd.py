@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium import spaces
 
 from trainer.config import CuriosityConfig
-from trainer.learning.networks import Floats, Network, joined
+from trainer.learning.networks import Network, Singles, joined
 
 
 class RandomNetworkDistillation:
@@ -34,14 +34,14 @@ class RandomNetworkDistillation:
         self.adam = joined((self.predictor,), generator)
         self.scale, self._rate = config.rnd_scale, config.learning_rate
 
-    def intrinsic_reward(self, observations: Floats, actions: Floats, next_observations: Floats) -> Floats:
+    def intrinsic_reward(self, observations: Singles, actions: Singles, next_observations: Singles) -> Singles:
         """Half the squared distance between predicted and actual output for the next observations, (n,)."""
         _, error = self.predictor(next_observations)
         error -= self.target(next_observations)[1]
-        reward: Floats = np.float32(0.5) * np.einsum("ij,ij->i", error, error)
+        reward: Singles = np.float32(0.5) * np.einsum("ij,ij->i", error, error)
         return reward
 
-    def learn(self, observations: Floats, actions: Floats, next_observations: Floats) -> dict[str, float]:
+    def learn(self, observations: Singles, actions: Singles, next_observations: Singles) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``rnd_loss``."""
         hidden, error = self.predictor(next_observations)
         error -= self.target(next_observations)[1]

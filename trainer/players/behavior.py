@@ -1,8 +1,32 @@
-"""A behavior's observations and actions as plain values: what a run keeps of its player once that is gone."""
+"""A player's one behavior, and its observations and actions as plain values, which a run keeps of it."""
 
 from typing import Any
 
 from mlagents_envs.base_env import ActionSpec, BehaviorSpec, DimensionProperty, ObservationSpec, ObservationType
+from mlagents_envs.environment import UnityEnvironment
+
+from trainer.corridor import check_contract, is_corridor
+from trainer.errors import TrainerError
+
+
+def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
+    """Name and spec of the environment's one behavior, which it makes known with its first agents.
+
+    Raises:
+        TrainerError: There are several, or one called Corridor that does not keep the corridor's contract.
+    """
+    if not environment.behavior_specs:
+        environment.reset()
+    specs = dict(environment.behavior_specs.items())
+    if len(specs) != 1:
+        raise TrainerError(
+            f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; "
+            "give all agents the same Behavior Name and team."
+        )
+    name, spec = next(iter(specs.items()))
+    if is_corridor(name):
+        check_contract(spec)
+    return name, spec
 
 
 def behavior_record(name: str, spec: BehaviorSpec) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Unifo
 from trainer.config import EngineConfig, RunConfig
 from trainer.corridor import PENALTY, check_parameter
 from trainer.errors import TrainerError
+from trainer.seeds import sampler_seed
 
 SECTIONS = ("engine_settings", "environment_parameters")
 SAMPLERS = {
@@ -121,13 +122,13 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     engine.set_configuration_parameters(**asdict(config.engine))
     parameters.set_float_parameter(PENALTY, config.penalty)
     for index, (name, value) in enumerate(config.environment_parameters.items()):
-        match _parse(name, value, (seed + index) % 2**31):
-            case Uniform(sampler_seed, low, high):
-                parameters.set_uniform_sampler_parameters(name, low, high, sampler_seed)
-            case Gaussian(sampler_seed, mean, deviation):
-                parameters.set_gaussian_sampler_parameters(name, mean, deviation, sampler_seed)
-            case MultiRangeUniform(sampler_seed, ranges):
-                parameters.set_multirangeuniform_sampler_parameters(name, list(ranges), sampler_seed)
+        match _parse(name, value, sampler_seed(seed, index)):
+            case Uniform(own_seed, low, high):
+                parameters.set_uniform_sampler_parameters(name, low, high, own_seed)
+            case Gaussian(own_seed, mean, deviation):
+                parameters.set_gaussian_sampler_parameters(name, mean, deviation, own_seed)
+            case MultiRangeUniform(own_seed, ranges):
+                parameters.set_multirangeuniform_sampler_parameters(name, list(ranges), own_seed)
             case number:
                 parameters.set_float_parameter(name, number)
     return [engine, parameters]

@@ -3,50 +3,23 @@
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionTuple, BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from trainer.corridor import episode_info
 from trainer.errors import TrainerError
-from trainer.players.environment import BadNumbers, Environment, only_behavior
+from trainer.players.behavior import only_behavior
+from trainer.players.environment import in_two_halves
+from trainer.players.failures import BadNumbers
+from trainer.players.slots import Slots
 
 
-class Areas(VecEnv):
-    """A ``VecEnv`` whose slots are training areas, which have no attributes or methods that a caller could reach."""
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """None for each slot."""
-        return [None for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Not supported.
-
-        Raises:
-            NotImplementedError: Always; use a side channel.
-        """
-        raise NotImplementedError(f"An area has no attribute {attr_name} to set; use a side channel.")
-
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Not supported.
-
-        Raises:
-            NotImplementedError: Always; use a side channel.
-        """
-        raise NotImplementedError(f"An area has no method {method_name} to call; use a side channel.")
-
-    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Never: slots are not Gymnasium environments."""
-        return [False for _ in self._get_indices(indices)]
-
-
-class UnityVecEnv(Areas):
+class UnityVecEnv(Slots):
     """Every agent of the one behavior is a slot; a slot's next episode is whichever agent takes the ended one's place.
 
     Works for a behavior whose agents ask for decisions in step, with vector observations (several are put one after
@@ -64,6 +37,7 @@ class UnityVecEnv(Areas):
 
     def __init__(self, environment: UnityEnvironment, statistics: StatsSideChannel | None = None) -> None:
         self.environment = environment
+        self._step = in_two_halves(environment)
         self._statistics = statistics
         self.behavior, spec = only_behavior(environment)
         self._continuous = spec.action_spec.is_continuous()
@@ -107,8 +81,7 @@ class UnityVecEnv(Areas):
         else:
             chosen.add_discrete(actions[self._in_order].reshape(self.num_envs, -1).astype(np.int32, copy=False))
         self.environment.set_actions(self.behavior, chosen)
-        if isinstance(self.environment, Environment):
-            self.environment.send()  # the player computes while others get their actions
+        self._step.send()  # the player computes while others get their actions
 
     def step_wait(self) -> VecEnvStepReturn:
         """Runs the player until every slot's agent asks for its next decision."""
@@ -116,17 +89,14 @@ class UnityVecEnv(Areas):
         dones = np.zeros(self.num_envs, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended_slots: list[int] = []
-        sent = isinstance(self.environment, Environment)
+        receive = self._step.receive
         while True:
             try:
-                if sent:
-                    self.environment.receive()
-                else:
-                    self.environment.step()
+                receive()
             except BadNumbers as error:
                 area = None if error.agent is None else self._slots.get(error.agent)
                 raise error if area is None else error.in_area(area) from error
-            sent = False
+            receive = self.environment.step  # while no agent asks for a decision, there is nothing to send
             decision, terminal = self.environment.get_steps(self.behavior)
             ended_slots += self._end_episodes(terminal, rewards, dones, infos)
             if len(decision):

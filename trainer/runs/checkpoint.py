@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
 from trainer.errors import TrainerError
+from trainer.files import whole_file
 
-FORMAT = 1
+FORMAT = 2
 KEPT = 5
 SUFFIX = ".safetensors"
 NO_DIGEST = "0" * 64
@@ -42,17 +43,18 @@ class Checkpoint:
     """A run at the end of one of its updates.
 
     Attributes:
-        arrays: Tensors by name.
-        facts: Plain values, as JSON has them.
+        arrays: Tensors by name, ``<part>/<name>``.
+        facts: Plain values, as JSON has them; those of the parts under ``parts``.
     """
 
     arrays: Mapping[str, NDArray[Any]]
     facts: Mapping[str, Any]
 
-    def part(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """The arrays whose names begin with ``prefix/``, without it."""
-        start = f"{prefix}/"
-        return {name.removeprefix(start): each for name, each in self.arrays.items() if name.startswith(start)}
+    def part(self, name: str) -> dict[str, Any]:
+        """A part's ``state_dict``: its arrays and its plain values."""
+        start = f"{name}/"
+        arrays = {each.removeprefix(start): array for each, array in self.arrays.items() if each.startswith(start)}
+        return {**arrays, **self.facts.get("parts", {}).get(name, {})}
 
 
 def to_bytes(checkpoint: Checkpoint) -> bytearray:
@@ -93,7 +95,33 @@ def from_bytes(data: bytes | bytearray) -> Checkpoint:
             f"A checkpoint of format {facts['format']} was made by a later version of curious-corridor; this one reads "
             f"format {FORMAT}: update it."
         )
-    return Checkpoint(load(bytes(data)), facts)
+    checkpoint = Checkpoint(load(bytes(data)), facts)
+    return _from_format_1(checkpoint) if facts["format"] == 1 else checkpoint
+
+
+def _from_format_1(old: Checkpoint) -> Checkpoint:
+    """A checkpoint of before parts had their plain values, and the running episodes, to themselves."""
+    renamed = {
+        "sb3_window/": "progress/",
+        "last/": "last_step/",
+        "player_state/": "players/state_",
+        "player/": "players/",
+    }
+    arrays = {}
+    for name, array in old.arrays.items():
+        start = next((start for start in renamed if name.startswith(start)), "")
+        arrays[renamed.get(start, "") + name.removeprefix(start)] = array
+    facts = {name: old.facts[name] for name in ("format", "config", "counters", "env_steps")}
+    parts: dict[str, Any] = {
+        "progress": {name: old.facts[name] for name in ("env_steps", "updates", "logged")},
+        "random": {"numpy_rest": old.facts["numpy_random"]},
+        "players": {"lives": old.facts["lives"]},
+    }
+    if old.facts["curiosity"] is not None:
+        parts["curiosity"] = old.facts["curiosity"]
+        arrays["curiosity_episodes/sums"] = arrays.pop("curiosity/episode_sums")
+        arrays["curiosity_episodes/observations"] = arrays["last_step/observations"]
+    return Checkpoint(arrays, {**facts, "parts": parts})
 
 
 def _digest_place(data: bytes | bytearray) -> int:
@@ -118,15 +146,10 @@ class CheckpointWriter:
     def write(self, steps: int, data: bytes | bytearray) -> None:
         """Replaces the run's newest checkpoint, whole or not at all."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"rollout-{steps:010d}{SUFFIX}"
-        temporary = self._folder / "unfinished.tmp"
-        try:
-            temporary.write_bytes(data)
-        except OSError:
-            temporary.unlink(missing_ok=True)  # on a full disk, its room is needed
-            raise
         # A new name, not the old one again: ext4 would wait for the disk when a file takes another's place.
-        temporary.replace(path)
+        path = self._folder / f"rollout-{steps:010d}{SUFFIX}"
+        with whole_file(path, temporary="unfinished.tmp", durable=False) as file:
+            file.write(data)
         former = self._folder.glob(f"rollout-*{SUFFIX}") if self._rolling is None else [self._rolling]
         for each in former:
             if each != path:

@@ -1,9 +1,7 @@
 """A run's folder, ``results/<run-id>/``: what is in it, how it comes to be, and who may write to it."""
 
 import csv
-import io
 import json
-import math
 import os
 import platform
 import re
@@ -13,13 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from stable_baselines3.common.logger import KVWriter
-from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
-from tensorboard.compat.proto.event_pb2 import Event
-from tensorboard.summary.writer.record_writer import RecordWriter
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.files import write_whole
 
 PACKAGES = (
     "curious-corridor",
@@ -35,28 +30,6 @@ PACKAGES = (
 
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
 MAY_CHANGE = ("steps", "env", "env_args", "engine")
-
-# Columns of progress.csv and the logger's tags that fill them; the last two are timing and differ between runs.
-PROGRESS_COLUMNS = {
-    "env_steps": "time/total_timesteps",
-    "episodes": "rollout/episodes",
-    "mean_return": "rollout/ep_rew_mean",
-    "mean_episode_length": "rollout/ep_len_mean",
-    "success_rate": "rollout/success_rate",
-    "intrinsic_reward": "rollout/intrinsic_reward",
-    "curiosity_return": "Policy/Curiosity Reward",
-    "curiosity_forward_loss": "Losses/Curiosity Forward Loss",
-    "curiosity_inverse_loss": "Losses/Curiosity Inverse Loss",
-    "policy_loss": "train/policy_gradient_loss",
-    "value_loss": "train/value_loss",
-    "entropy_loss": "train/entropy_loss",
-    "approx_kl": "train/approx_kl",
-    "clip_fraction": "train/clip_fraction",
-    "explained_variance": "train/explained_variance",
-    "action_std": "train/std",
-    "steps_per_second": "time/fps",
-    "wall_seconds": "time/time_elapsed",
-}
 
 
 class RunFolder:
@@ -98,7 +71,7 @@ class RunFolder:
                 folder._make_way(force)
             folder.path.mkdir(parents=True, exist_ok=True)
             record = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
-            _write(folder.configuration, yaml.safe_dump(record, sort_keys=False))
+            write_whole(folder.configuration, yaml.safe_dump(record, sort_keys=False))
         except OSError as error:
             raise TrainerError(
                 f"{folder.path} can't be written ({error}); choose another with --results-dir."
@@ -138,7 +111,7 @@ class RunFolder:
     def record_behavior(self, behavior: dict[str, Any]) -> None:
         """Adds to ``configuration.yaml`` what the player's behavior observes and does."""
         record = yaml.safe_load(self.configuration.read_text(encoding="utf-8"))
-        _write(self.configuration, yaml.safe_dump({**record, "behavior": behavior}, sort_keys=False))
+        write_whole(self.configuration, yaml.safe_dump({**record, "behavior": behavior}, sort_keys=False))
 
     def read_behavior(self) -> dict[str, Any]:
         """What ``record_behavior`` added; empty if it was not called.
@@ -151,7 +124,7 @@ class RunFolder:
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Writes ``summary.json`` whole or not at all."""
-        _write(self.summary, json.dumps(summary, indent=2) + "\n")
+        write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
 
     def read_progress(self) -> list[dict[str, float | None]]:
         """The rows of ``progress.csv``; None where a column has no value yet."""
@@ -187,76 +160,6 @@ class RunFolder:
                 f"{self.path} is not a run's folder, so --force leaves it alone; choose another --run-id."
             )
         shutil.rmtree(self.path)
-
-
-class ProgressFile(KVWriter):
-    """``progress.csv``: a Stable-Baselines3 log output with fixed columns, so that equal runs give equal files.
-
-    Args:
-        path: The file.
-        steps: Steps of the checkpoint that a resumed run goes on from: later rows are dropped. 0 begins anew.
-    """
-
-    def __init__(self, path: Path, steps: int) -> None:
-        rows = []
-        if steps and path.is_file():
-            with path.open(newline="", encoding="utf-8") as former:
-                rows = [row for row in csv.DictReader(former) if _steps_of(row) <= steps]
-        with io.StringIO(newline="") as text:
-            writer = csv.DictWriter(text, list(PROGRESS_COLUMNS), restval="", extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(rows)
-            _write(path, text.getvalue())
-        self._file = path.open("a", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, list(PROGRESS_COLUMNS))
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """Appends a row."""
-        self._writer.writerow({column: key_values.get(tag) for column, tag in PROGRESS_COLUMNS.items()})
-        self._file.flush()
-
-    def close(self) -> None:
-        """Closes the file."""
-        self._file.close()
-
-
-def cut_events(folder: Path, steps: int) -> None:
-    """Makes a TensorBoard log end at a step: one file with each value up to there once, or none for step 0.
-
-    A run that was killed has values after its newest checkpoint, which its resumed part will write again.
-    """
-    files = sorted(folder.glob("events.out.tfevents.*"))
-    kept: dict[Any, bytes] = {}
-    for file in files if steps else []:
-        for record in RawEventFileLoader(str(file)).Load():
-            event = Event.FromString(record)
-            names = tuple(value.tag for value in event.summary.value)
-            if event.step <= steps:
-                kept.setdefault((event.step, names) if names else event.WhichOneof("what"), record)
-    if kept:
-        temporary = folder / "cut.tmp"
-        with temporary.open("wb") as output:
-            writer = RecordWriter(output)
-            for record in kept.values():
-                writer.write(record)
-        temporary.replace(files.pop(0))
-    for file in files:
-        file.unlink()
-
-
-def _steps_of(row: dict[str, str]) -> float:
-    """The steps of a row of ``progress.csv``; infinitely many for one that a full disk cut."""
-    whole = len(row) == len(PROGRESS_COLUMNS) and None not in row.values()
-    return float(row["env_steps"]) if whole else math.inf
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -7,7 +7,6 @@ for discrete ones the same three with ``discrete``. Normalisation of the observa
 inside.
 """
 
-import os
 import tempfile
 import warnings
 from pathlib import Path
@@ -21,18 +20,19 @@ from mlagents_envs.base_env import BehaviorSpec
 from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from torch import Tensor, nn
 
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.files import write_whole
+from trainer.learning.normaliser import ObservationNormaliser
+from trainer.learning.stages import Stages, build_stages
 from trainer.players.behavior import recorded_spec
-from trainer.players.vec_env import Areas, action_space, observation_space
+from trainer.players.slots import Slots
+from trainer.players.vec_env import action_space, observation_space
 from trainer.runs.folder import RunFolder
-from trainer.runs.run_state import Stages
-from trainer.runs.training import build_stages, load_trained
+from trainer.runs.training import load_trained
 
 OPSET = 9  # ML-Agents' own, which every version of Unity's inference reads
 API_VERSION = 3.0  # ModelApiVersion.MLAgents2_0
@@ -56,13 +56,9 @@ def export_run(config: RunConfig, folder: RunFolder, path: Path) -> None:
     spec = _spec(folder)
     stages = build_stages(config, _Nobody(config.num_envs * config.num_areas, spec))
     load_trained(config, folder, stages)
-    temporary = path.with_name(path.name + ".tmp")
+    program = policy_as_onnx(stages, spec)
     try:
-        with temporary.open("wb") as file:
-            file.write(policy_as_onnx(stages, spec))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        write_whole(path, program)
     except OSError as error:
         raise TrainerError(f"{path} can't be written ({error}); choose another file with --onnx.") from error
 
@@ -100,7 +96,7 @@ def policy_as_onnx(stages: Stages, spec: BehaviorSpec) -> bytes:
     return program
 
 
-class _Nobody(Areas):
+class _Nobody(Slots):
     """Slots that nobody is in: what a policy needs to be built, without a player."""
 
     def __init__(self, count: int, spec: BehaviorSpec) -> None:
@@ -129,13 +125,12 @@ class _Actor(nn.Module):
     memory_size: Tensor
     shape: Tensor
 
-    def __init__(self, policy: ActorCriticPolicy, normaliser: VecNormalize, shape: Tensor) -> None:
+    def __init__(self, policy: ActorCriticPolicy, normaliser: ObservationNormaliser, shape: Tensor) -> None:
         super().__init__()
         self.policy = policy
         self.clip = normaliser.clip_obs
-        assert isinstance(normaliser.obs_rms, RunningMeanStd)  # one vector observation
-        mean = torch.from_numpy(normaliser.obs_rms.mean)
-        scale = 1.0 / np.sqrt(normaliser.obs_rms.var + normaliser.epsilon)
+        mean = torch.from_numpy(normaliser.statistics.mean)
+        scale = 1.0 / np.sqrt(normaliser.statistics.var + normaliser.epsilon)
         # A float32 mean of 5 is off by up to 2e-7, which the scale of an observation that hardly varies makes large.
         self.register_buffer("mean", mean.float())
         self.register_buffer("mean_rest", (mean - mean.float().double()).float())
@@ -154,7 +149,7 @@ class _Actor(nn.Module):
 class _ContinuousActor(_Actor):
     deviation: Tensor
 
-    def __init__(self, policy: ActorCriticPolicy, normaliser: VecNormalize) -> None:
+    def __init__(self, policy: ActorCriticPolicy, normaliser: ObservationNormaliser) -> None:
         super().__init__(policy, normaliser, torch.tensor([float(policy.log_std.numel())]))
         self.register_buffer("deviation", policy.log_std.detach().exp())
 
@@ -165,7 +160,7 @@ class _ContinuousActor(_Actor):
 
 
 class _DiscreteActor(_Actor):
-    def __init__(self, policy: ActorCriticPolicy, normaliser: VecNormalize, branches: list[int]) -> None:
+    def __init__(self, policy: ActorCriticPolicy, normaliser: ObservationNormaliser, branches: list[int]) -> None:
         super().__init__(policy, normaliser, torch.tensor([branches], dtype=torch.float32))
         self.branches = branches
 
@@ -205,15 +200,14 @@ def _check(program: bytes, stages: Stages, sizes: list[int], names: list[str], c
     """
     model = onnx.load_from_string(program)
     onnx.checker.check_model(model, full_check=True)
-    rms = stages.normaliser.obs_rms
-    assert isinstance(rms, RunningMeanStd)
+    rms = stages.normaliser.statistics
     drawn = np.random.default_rng(0).standard_normal((CHECKED_ROWS, sum(sizes)))
     observations = (rms.mean + np.sqrt(rms.var) * drawn).astype(np.float32)
     feed = dict(zip(names, np.split(observations, np.cumsum(sizes)[:-1], axis=1), strict=False))
     if choices:
         feed["action_masks"] = np.ones((CHECKED_ROWS, choices), np.float32)
     deterministic = onnx.utils.Extractor(model).extract_model(list(feed), [model.graph.output[-1].name])
-    found = ReferenceEvaluator(deterministic).run(None, feed)[0]
+    found: Any = next(iter(ReferenceEvaluator(deterministic).run(None, feed)))
     expected, _ = stages.model.predict(np.asarray(stages.normaliser.normalize_obs(observations)), deterministic=True)
     difference = float(np.abs(found - expected.reshape(found.shape)).max())
     if not difference <= TOLERANCE:

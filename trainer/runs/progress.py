@@ -7,8 +7,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from trainer.config import RunConfig
-
 LINES = 15  # printed over a whole run where there is no terminal
 
 
@@ -39,13 +37,14 @@ class ProgressDisplay:
     """Shows snapshots of a run.
 
     Args:
-        config: The run.
+        run_id: The run's name.
+        total: Its agent steps.
         done_before: Steps that a resumed run already has.
     """
 
-    def __init__(self, config: RunConfig, done_before: int) -> None:
+    def __init__(self, run_id: str, total: int, done_before: int) -> None:
         self._console = Console()
-        self._total = config.steps
+        self._total = total
         self._next_line = done_before
         self._bar = Progress(
             TextColumn("{task.description}"),
@@ -58,7 +57,7 @@ class ProgressDisplay:
             speed_estimate_period=10.0,
             disable=not self._console.is_terminal,
         )
-        self._task = self._bar.add_task(config.run_id, total=config.steps, completed=done_before, text="")
+        self._task = self._bar.add_task(run_id, total=total, completed=done_before, text="")
 
     def __enter__(self) -> "ProgressDisplay":
         self._bar.start()

@@ -1,49 +1,78 @@
 """What ``corridor train`` and ``corridor evaluate`` do: a run from the player's start to its files."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from trainer.config import RestartLimits, RunConfig
+from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import corridor_of, is_corridor
 from trainer.errors import TrainerError
+from trainer.learning.algorithm_state import policy_sha256
 from trainer.learning.sb3_zip import load_sb3_policy
+from trainer.learning.stages import Stages, build_stages
 from trainer.players.behavior import behavior_record
-from trainer.players.environment import LOOPBACK, can_be_launched
-from trainer.players.several import open_player
-from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
+from trainer.players.location import can_be_launched
+from trainer.players.opening import open_players
+from trainer.players.several import Players
+from trainer.runs.checkpoint import checkpoints, read_checkpoint
+from trainer.runs.counters import Counters
 from trainer.runs.evaluation import Episode, evaluate, summarise
 from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
-from trainer.runs.run_state import player_states, policy_sha256
-from trainer.runs.training import Counters, build_stages, load_trained, train
+from trainer.runs.run_state import Resumed, resumed_from
+from trainer.runs.training import load_trained, train
 from trainer.runs.trajectories import Trajectories, save_trajectories
+from trainer.seeds import evaluation_seed
 
 ONLY_WEIGHTS = (
     "Warning: of {}, only the policy's weights are used. Its pickled part (settings, optimiser) is not read, and it "
     "has no observation statistics: normalisation begins anew, so the policy first acts differently."
 )
-# Evaluation plays episodes that training has not seen.
-EVALUATION_SEED_OFFSET = 1_000_000
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """What learning leaves.
+
+    Attributes:
+        finished: Whether it took all its steps.
+        stages: With the policy.
+        counters: Of the whole run.
+        before: Of its earlier parts.
+        behavior: The behavior's name.
+        evaluated: By players that can't be launched anew; None if there is an evaluation to come, or none at all.
+    """
+
+    finished: bool
+    stages: Stages
+    counters: Counters
+    before: Counters
+    behavior: str
+    evaluated: list[Episode] | None
 
 
 def train_run(
     config: RunConfig,
     folder: RunFolder,
+    connection: ConnectionOptions,
     *,
-    port: int,
-    timeout_wait: int,
     episodes: int,
-    resumed: bool,
+    resumed: bool = False,
     limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
-    listen: str = LOOPBACK,
 ) -> bool:
     """Trains, evaluates and writes the run's summary and pictures.
+
+    Args:
+        config: The run.
+        folder: Where its results go.
+        connection: How its players are reached.
+        episodes: Of its evaluation.
+        resumed: Whether it goes on from its newest checkpoint.
+        limits: How often a player may be started again.
 
     Returns:
         Whether the run took all its steps; False if a signal ended it, in which case it is not evaluated.
@@ -52,94 +81,113 @@ def train_run(
         TrainerError: The player can't be started, does not fit, or failed; what was learned until then is saved.
     """
     with _written_to(folder):
-        console = Console()
-        evaluated: list[Episode] | None = None
-        seed: int | None = None
-        # A run that was killed before its first update begins again.
-        checkpoint = read_checkpoint(folder.checkpoints) if resumed and checkpoints(folder.checkpoints) else None
-        counters, lives, states = Counters(), None, None
-        if checkpoint is not None:
-            counters, lives, states = _so_far(checkpoint, config)
-        first_step, first_second = counters.env_steps, counters.wall_seconds
-        with open_player(
-            config,
-            folder.logs,
-            seed=config.seed,
-            port=port,
-            timeout_wait=timeout_wait,
-            limits=limits,
-            lives=lives,
-            states=states,
-            listen=listen,
-        ) as (player, behavior):
-            folder.record_behavior(behavior_record(behavior, player.behavior_spec))
-            stages = build_stages(config, player)
-            if config.from_sb3 is not None and checkpoint is None:
-                load_sb3_policy(Path(config.from_sb3), stages.model)
-                console.print(ONLY_WEIGHTS.format(config.from_sb3), style="yellow", highlight=False, markup=False)
-            finished = train(config, folder, stages, counters, checkpoint)
-            policy = policy_sha256(stages.model)
-            if finished and not can_be_launched(config.env):
-                evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
-        if finished and evaluated is None:
-            seed = evaluation_seed(config)
-            with _evaluation_player(config, folder, port, timeout_wait, limits, listen) as (player, _):
-                evaluated = evaluate(stages.model, stages.normaliser, player, episodes)
-
-        if evaluated is not None:
-            save_trajectories(folder.trajectories, Trajectories(behavior, seed, counters.env_steps, evaluated))
-        seconds = counters.wall_seconds - first_second
-        folder.write_summary(
-            {
-                **config.facts(),
-                "env_steps": counters.env_steps,
-                "episodes": counters.episodes,
-                "wall_seconds": round(counters.wall_seconds, 3),
-                "steps_per_second": round((counters.env_steps - first_step) / seconds, 1) if seconds else None,
-                "steps_to_50_success": counters.steps_to_50_success,
-                "steps_to_90_success": counters.steps_to_90_success,
-                "evaluation": summarise(evaluated) if evaluated else None,
-                "policy_sha256": policy,
-                "restarts": counters.restarts + counters.resumes,
-                "player_restarts": counters.restarts,
-                "resumes": counters.resumes,
-                "exchange_share": round(counters.exchange_seconds / counters.wall_seconds, 3)
-                if counters.wall_seconds
-                else None,
-            }
-        )
-        title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
-        save_learning_curve(folder.read_progress(), title, folder.learning_curve)
-        if evaluated is None:
-            console.print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.", highlight=False)
-        else:
-            _report(console, folder, config, evaluated, title, behavior)
-        return finished
+        learned = _learn(config, folder, connection, episodes, resumed, limits)
+        evaluation = _evaluate(config, folder, connection, episodes, limits, learned)
+        _report(config, folder, learned, evaluation)
+    return learned.finished
 
 
-def evaluate_run(
-    config: RunConfig, folder: RunFolder, *, port: int, timeout_wait: int, episodes: int, listen: str = LOOPBACK
-) -> None:
+def _learn(
+    config: RunConfig,
+    folder: RunFolder,
+    connection: ConnectionOptions,
+    episodes: int,
+    resumed: bool,
+    limits: RestartLimits,
+) -> _Learned:
+    # A run that was killed before its first update begins again.
+    checkpoint = read_checkpoint(folder.checkpoints) if resumed and checkpoints(folder.checkpoints) else None
+    so_far = Resumed() if checkpoint is None else resumed_from(checkpoint, config.num_envs)
+    counters = replace(so_far.counters)
+    with open_players(
+        config,
+        folder.logs,
+        connection,
+        seed=config.seed,
+        limits=limits,
+        lives=so_far.lives,
+        states=so_far.states,
+    ) as players:
+        folder.record_behavior(behavior_record(players.behavior, players.behavior_spec))
+        stages = build_stages(config, players)
+        if config.from_sb3 is not None and checkpoint is None:
+            load_sb3_policy(Path(config.from_sb3), stages.model)
+            warning = ONLY_WEIGHTS.format(config.from_sb3)
+            Console().print(warning, style="yellow", highlight=False, markup=False)
+        finished = train(config, folder, stages, players, counters, checkpoint)
+        evaluated = None
+        if finished and not can_be_launched(config.env):
+            evaluated = evaluate(stages.model, stages.normaliser, players, episodes)
+        return _Learned(finished, stages, counters, so_far.counters, players.behavior, evaluated)
+
+
+def _evaluate(
+    config: RunConfig,
+    folder: RunFolder,
+    connection: ConnectionOptions,
+    episodes: int,
+    limits: RestartLimits,
+    learned: _Learned,
+) -> Trajectories | None:
+    """The finished run's evaluation, recorded; None for a run that was ended before."""
+    played, seed = learned.evaluated, None
+    if not learned.finished:
+        return None
+    if played is None:
+        seed = evaluation_seed(config.seed)
+        with _evaluation_players(config, folder, connection, limits) as players:
+            played = evaluate(learned.stages.model, learned.stages.normaliser, players, episodes)
+    evaluation = Trajectories(learned.behavior, seed, learned.counters.env_steps, played)
+    save_trajectories(folder.trajectories, evaluation)
+    return evaluation
+
+
+def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation: Trajectories | None) -> None:
+    counters, before = learned.counters, learned.before
+    seconds = counters.wall_seconds - before.wall_seconds
+    exchange = round(counters.exchange_seconds / counters.wall_seconds, 3) if counters.wall_seconds else None
+    folder.write_summary(
+        {
+            **config.facts(),
+            "env_steps": counters.env_steps,
+            "episodes": counters.episodes,
+            "wall_seconds": round(counters.wall_seconds, 3),
+            "steps_per_second": round((counters.env_steps - before.env_steps) / seconds, 1) if seconds else None,
+            "steps_to_50_success": counters.steps_to_50_success,
+            "steps_to_90_success": counters.steps_to_90_success,
+            "evaluation": summarise(evaluation.episodes) if evaluation else None,
+            "policy_sha256": policy_sha256(learned.stages.model),
+            "restarts": counters.restarts + counters.resumes,
+            "player_restarts": counters.restarts,
+            "resumes": counters.resumes,
+            "exchange_share": exchange,
+        }
+    )
+    save_learning_curve(folder.read_progress(), _title(config), folder.learning_curve)
+    if evaluation is None:
+        Console().print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.", highlight=False)
+    else:
+        _show_evaluation(config, folder, evaluation)
+
+
+def evaluate_run(config: RunConfig, folder: RunFolder, connection: ConnectionOptions, *, episodes: int) -> None:
     """Evaluates a run's newest checkpoint on the episodes that its own evaluation played.
 
     Raises:
         TrainerError: There is no checkpoint, it does not fit, or the player failed.
     """
-    evaluated = play_episodes(config, folder, port=port, timeout_wait=timeout_wait, episodes=episodes, listen=listen)
-    save_trajectories(folder.trajectories, evaluated)
-    title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
-    _report(Console(), folder, config, evaluated.episodes, title, evaluated.behavior)
+    evaluation = play_episodes(config, folder, connection, episodes=episodes)
+    save_trajectories(folder.trajectories, evaluation)
+    _show_evaluation(config, folder, evaluation)
 
 
 def play_episodes(
     config: RunConfig,
     folder: RunFolder,
+    connection: ConnectionOptions,
     *,
-    port: int,
-    timeout_wait: int,
     episodes: int,
     checkpoint: str | None = None,
-    listen: str = LOOPBACK,
 ) -> Trajectories:
     """Plays a checkpoint, the newest if none is named, on the episodes that the run's own evaluation played.
 
@@ -147,33 +195,11 @@ def play_episodes(
         TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
     read_checkpoint(folder.checkpoints, checkpoint)  # before a player is started, or waited for
-    with _evaluation_player(config, folder, port, timeout_wait, RestartLimits(), listen) as (player, behavior):
-        stages = build_stages(config, player)
+    with _evaluation_players(config, folder, connection, RestartLimits()) as players:
+        stages = build_stages(config, players)
         counters = load_trained(config, folder, stages, checkpoint)
-        played = evaluate(stages.model, stages.normaliser, player, episodes)
-    return Trajectories(behavior, evaluation_seed(config), counters.env_steps, played)
-
-
-def evaluation_seed(config: RunConfig) -> int:
-    """The seed of the player that a run is evaluated on."""
-    return (config.seed + EVALUATION_SEED_OFFSET) % 2**31
-
-
-def _so_far(checkpoint: Checkpoint, config: RunConfig) -> tuple[Counters, list[int], list[bytes] | None]:
-    """A checkpoint's counters, how often its players were started before, and their states.
-
-    Raises:
-        TrainerError: It has another number of players.
-    """
-    counters = Counters(**checkpoint.facts["counters"])
-    lives, states = checkpoint.facts["lives"], player_states(checkpoint)
-    if len(lives) != config.num_envs:
-        raise TrainerError(
-            f"The checkpoint is of a run with {len(lives)} players, but --num-envs is {config.num_envs}."
-        )
-    if states is None:  # with its former seed, a player would play the run's first episodes once more
-        lives = [life + 1 for life in lives]
-    return replace(counters, resumes=counters.resumes + 1), lives, states
+        played = evaluate(stages.model, stages.normaliser, players, episodes)
+    return Trajectories(players.behavior, evaluation_seed(config.seed), counters.env_steps, played)
 
 
 @contextmanager
@@ -189,26 +215,29 @@ def _written_to(folder: RunFolder) -> Iterator[None]:
         raise TrainerError(f"{folder.path} can't be written ({error.strerror or error}); {known}") from error
 
 
-def _evaluation_player(
-    config: RunConfig, folder: RunFolder, port: int, timeout_wait: int, limits: RestartLimits, listen: str
-) -> Any:
-    logs, seed = folder.logs / "evaluation", evaluation_seed(config)
-    return open_player(config, logs, seed=seed, port=port, timeout_wait=timeout_wait, limits=limits, listen=listen)
+def _evaluation_players(
+    config: RunConfig, folder: RunFolder, connection: ConnectionOptions, limits: RestartLimits
+) -> AbstractContextManager[Players]:
+    seed = evaluation_seed(config.seed)
+    return open_players(config, folder.logs / "evaluation", connection, seed=seed, limits=limits)
 
 
-def _report(
-    console: Console, folder: RunFolder, config: RunConfig, episodes: list[Episode], title: str, behavior: str
-) -> None:
+def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
+    console, title, episodes = Console(), _title(config), evaluation.episodes
     console.print(f"Evaluation of {title}, deterministic policy:", highlight=False, soft_wrap=True)
     table = Table("measure", "value")
     for name, value in summarise(episodes).items():
         table.add_row(name, "not reported" if value is None else f"{value:g}")
     console.print(table)
-    if is_corridor(behavior):
+    if is_corridor(evaluation.behavior):
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
         corridor = corridor_of(config.penalty, config.environment_parameters)
         save_episode_paths(shown, title, folder.episode_paths, corridor)
     console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
+
+
+def _title(config: RunConfig) -> str:
+    return f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
 
 
 def _relative(path: Path) -> Path:

@@ -1,116 +1,99 @@
-"""Everything that decides how a run goes on, taken from its stages for a checkpoint and put back into them.
+"""Everything that decides how a run goes on, captured from its parts for a checkpoint and restored into them.
 
 With the built-in player, whose areas are part of it, a resumed run does what the uncut one would have done, bit for
 bit. With a player that can't write its areas down, new episodes begin; all the rest is as it was.
 """
 
-import hashlib
-import math
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from trainer.errors import TrainerError
-from trainer.learning.curiosity import Curiosity
-from trainer.players.several import Players
+from trainer.learning.algorithm_state import LastStep, Optimizer, Policy, Progress, RandomStreams
+from trainer.learning.stages import Stages
+from trainer.players.slots import Slots
 from trainer.runs.checkpoint import Checkpoint
-
-Windows = dict[str, deque[Any]]
-Array = NDArray[Any]
-# What SB3 records in an update and writes with the next row; everything else is recorded anew before each row.
-UPDATE_TAGS = "train/"
-MAY_BE_NAN = "train/explained_variance"  # of returns that are all the same
+from trainer.runs.counters import Counters
 
 
-@dataclass
-class Stages:
-    """The environment's stages, lowest first, and the algorithm on top."""
+class Captured(Protocol):
+    """Something that a run is made of and that can be written down: arrays, and values as JSON has them."""
 
-    player: VecEnv
-    normaliser: VecNormalize
-    curiosity: Curiosity | None
-    model: BaseAlgorithm
+    def state_dict(self) -> Mapping[str, Any]:
+        """All that it remembers; arrays may be views."""
 
 
-class RandomStates(NamedTuple):
-    """Of the random streams that SB3 draws from: torch's, and NumPy's as ``np.random.get_state`` gives it."""
+class Part(Captured, Protocol):
+    """Something that can also be put back into what was built anew."""
 
-    torch: Array
-    numpy: Any
-
-
-def random_states() -> RandomStates:
-    """Copies of the states as they are."""
-    return RandomStates(torch.get_rng_state().numpy(), np.random.get_state(legacy=True))  # noqa: NPY002 - SB3's
+    def load_state_dict(self, state: Any, /) -> None:
+        """Takes over what ``state_dict`` gave."""
 
 
-def take(stages: Stages, windows: Windows, random: RandomStates, facts: Mapping[str, Any]) -> Checkpoint:
-    """A run's state between two rollouts; the arrays are views.
+Parts = Mapping[str, Part]
+
+
+def trained_parts(stages: Stages) -> Parts:
+    """What it takes to play with what was learned."""
+    return {"normaliser": stages.normaliser, "policy": Policy(stages.model)}
+
+
+def learning_parts(stages: Stages, windows: Part, random: RandomStreams) -> Parts:
+    """What it takes to go on learning.
 
     Args:
-        stages: All of them; the next rollout's first actions may have been sent.
+        stages: The run's.
         windows: The last episodes' numbers.
-        random: Of before those actions were drawn.
+        random: Restored last, since building stages draws from the streams.
+    """
+    curious: Parts = {} if stages.curiosity is None else {"curiosity": stages.curiosity}
+    model = stages.model
+    return {"optimizer": Optimizer(model), **curious, "window": windows, "progress": Progress(model), "random": random}
+
+
+def episode_parts(stages: Stages) -> Parts:
+    """What it takes to go on in the middle of episodes, where the player can."""
+    curious: Parts = {} if stages.curiosity is None else {"curiosity_episodes": stages.curiosity.episodes}
+    return {"monitor": stages.monitor, **curious, "last_step": LastStep(stages.model)}
+
+
+def capture(parts: Mapping[str, Captured], facts: Mapping[str, Any]) -> Checkpoint:
+    """A run's state between two rollouts; the arrays are views where they can be.
+
+    Args:
+        parts: All of them; the next rollout's first actions may have been sent.
         facts: Further plain values.
 
     Raises:
         TrainerError: A loss is NaN or infinite.
     """
-    model, statistics = stages.model, _statistics(stages.normaliser)
-    _, keys, position, has_gauss, gauss = random.numpy
-    arrays: dict[str, Array] = {
-        "normaliser/mean": statistics.mean,
-        "normaliser/var": statistics.var,
-        "normaliser/count": np.array(statistics.count, np.float64),
-        "random/torch": random.torch,
-        "random/numpy": np.asarray(keys),
-    }
-    arrays |= {f"policy/{name}": each.numpy() for name, each in model.policy.state_dict().items()}
-    arrays |= _optimizer(model)
-    if stages.curiosity is not None:
-        arrays |= {f"curiosity/{name}": each for name, each in stages.curiosity.state_dict().items()}
-    monitor = _monitor(stages.normaliser)
-    arrays |= {"monitor/returns": monitor.episode_returns, "monitor/lengths": monitor.episode_lengths}
-    arrays |= {f"window/{name}": np.array(values) for name, values in windows.items()}
-    for key in ("r", "l"):
-        arrays[f"sb3_window/{key}"] = np.array([episode[key] for episode in model.ep_info_buffer or ()])
-    arrays["sb3_window/success"] = np.array(list(model.ep_success_buffer or ()))
-    arrays["last/observations"] = np.asarray(model._last_obs)
-    arrays["last/starts"] = np.asarray(model._last_episode_starts)
-    lives: list[int] = []
-    if isinstance(stages.player, Players):
-        lives = stages.player.lives
-        arrays["player/observations"] = stages.player.observations
-        for number, state in enumerate(stages.player.states() or ()):
-            arrays[f"player_state/{number}"] = np.frombuffer(state, np.uint8)
-    logged, excluded = model.logger.name_to_value, model.logger.name_to_excluded
-    recorded = {tag: value for tag, value in logged.items() if tag.startswith(UPDATE_TAGS)}
-    for tag, value in recorded.items():
-        if not math.isfinite(value) and tag != MAY_BE_NAN:
-            raise TrainerError(f"{tag} became {value}; the run has diverged: try a smaller learning rate.")
-    return Checkpoint(
-        {name: np.ascontiguousarray(each) if each.ndim else each for name, each in arrays.items()},
-        {
-            **facts,
-            "env_steps": model.num_timesteps,
-            "updates": getattr(model, "_n_updates", 0),
-            "numpy_random": [position, has_gauss, gauss],
-            "curiosity": None if stages.curiosity is None else stages.curiosity.facts(),
-            "lives": lives,
-            "logged": {tag: [_plain(value), list(excluded[tag] or ())] for tag, value in recorded.items()},
-        },
-    )
+    arrays, plain = {}, dict[str, dict[str, Any]]()
+    for part, each in parts.items():
+        for name, value in each.state_dict().items():
+            if isinstance(value, np.ndarray):
+                arrays[f"{part}/{name}"] = np.ascontiguousarray(value) if value.ndim else value
+            else:
+                plain.setdefault(part, {})[name] = value
+    return Checkpoint(arrays, {**facts, "parts": plain})
 
 
-def load_policy(checkpoint: Checkpoint, stages: Stages, algo: str) -> None:
+def restore(checkpoint: Checkpoint, parts: Parts) -> None:
+    """Puts a checkpoint's state back into parts that were built with the same settings.
+
+    Raises:
+        TrainerError: The checkpoint is of another form.
+    """
+    for name, part in parts.items():
+        try:
+            part.load_state_dict(checkpoint.part(name))
+        except (KeyError, ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:300]
+            raise TrainerError(f"The checkpoint is for other settings: {reason}") from error
+
+
+def restore_trained(checkpoint: Checkpoint, stages: Stages, algo: str) -> None:
     """Puts the policy and the normaliser's statistics into freshly built stages.
 
     Raises:
@@ -119,137 +102,44 @@ def load_policy(checkpoint: Checkpoint, stages: Stages, algo: str) -> None:
     theirs = checkpoint.facts["config"]["algo"]
     if theirs != algo:
         raise TrainerError(f"The checkpoint is of a run with --algo {theirs}, but this one has {algo}.")
-    statistics, mean = _statistics(stages.normaliser), checkpoint.arrays["normaliser/mean"]
-    if mean.shape != statistics.mean.shape:
-        raise TrainerError(
-            f"The checkpoint is for observations of {len(mean)} floats, but the player's have {len(statistics.mean)}."
-        )
-    policy = {name: torch.from_numpy(each.copy()) for name, each in checkpoint.part("policy").items()}
-    try:
-        stages.model.policy.load_state_dict(policy)
-    except RuntimeError as error:
-        raise TrainerError(f"The checkpoint is for other settings: {' '.join(str(error).split())[:300]}") from error
-    statistics.mean, statistics.var = mean.copy(), checkpoint.arrays["normaliser/var"].copy()
-    statistics.count = float(checkpoint.arrays["normaliser/count"])
+    restore(checkpoint, trained_parts(stages))
 
 
-def put_back(checkpoint: Checkpoint, stages: Stages, windows: Windows) -> bool:
-    """Puts everything else of ``take`` into stages that ``load_policy`` has filled.
-
-    Args:
-        checkpoint: What ``take`` gave.
-        stages: Built with the same settings, with players that were opened with the saved states.
-        windows: Filled with what was saved.
-
-    Returns:
-        Whether the running episodes go on; otherwise new ones begin.
-
-    Raises:
-        TrainerError: The checkpoint is of another form.
-    """
-    model, facts = stages.model, checkpoint.facts
-    try:
-        _load_optimizer(model, checkpoint.part("optimizer"))
-        if stages.curiosity is not None:
-            stages.curiosity.load_state_dict(checkpoint.part("curiosity"), facts["curiosity"])
-        for name, window in windows.items():
-            window.extend(checkpoint.arrays[f"window/{name}"])
-        lengths = checkpoint.arrays["sb3_window/l"]
-        episodes = [{"r": r, "l": l} for r, l in zip(checkpoint.arrays["sb3_window/r"], lengths, strict=True)]  # noqa: E741
-        size = model._stats_window_size
-        model.ep_info_buffer = deque(episodes, size)
-        model.ep_success_buffer = deque(checkpoint.arrays["sb3_window/success"], size)
-        model.num_timesteps = facts["env_steps"]
-        model._n_updates = facts["updates"]
-        for tag, (value, excluded) in facts["logged"].items():
-            model.logger.record(tag, math.nan if value is None else value, exclude=tuple(excluded) or None)
-        torch.set_rng_state(torch.from_numpy(checkpoint.arrays["random/torch"].copy()))
-        position, has_gauss, gauss = facts["numpy_random"]
-        state = ("MT19937", checkpoint.arrays["random/numpy"], position, has_gauss, gauss)
-        np.random.set_state(state)  # noqa: NPY002 - SB3's
-        return _continue_episodes(checkpoint, stages)
-    except (KeyError, ValueError, RuntimeError) as error:
-        raise TrainerError(f"The checkpoint is for other settings: {' '.join(str(error).split())[:300]}") from error
-
-
-def player_states(checkpoint: Checkpoint) -> list[bytes] | None:
-    """What each player needs to go on where it was; None if a player could not say."""
-    states = [checkpoint.arrays.get(f"player_state/{number}") for number in range(len(checkpoint.facts["lives"]))]
-    known = [each.tobytes() for each in states if each is not None]
-    return known if len(known) == len(states) else None
-
-
-def policy_sha256(model: BaseAlgorithm) -> str:
-    """SHA-256 over the policy's parameters: for each, in the order of their names, name and little-endian bytes."""
-    digest = hashlib.sha256()
-    for name, tensor in sorted(model.policy.state_dict().items()):
-        array = tensor.numpy()
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
-    return digest.hexdigest()
-
-
-def _continue_episodes(checkpoint: Checkpoint, stages: Stages) -> bool:
-    if not isinstance(stages.player, Players) or player_states(checkpoint) is None:
+def restore_episodes(checkpoint: Checkpoint, stages: Stages, players: Slots) -> bool:
+    """Lets the running episodes go on, where the players have shown that theirs do; otherwise new ones begin."""
+    if not players.continues(checkpoint.part("players")):
         return False
-    shown = np.asarray(stages.player.reset())
-    if not np.array_equal(shown, checkpoint.arrays["player/observations"]):
-        return False  # another player, which does not know the side channel
-    monitor = _monitor(stages.normaliser)
-    monitor.episode_returns = checkpoint.arrays["monitor/returns"].copy()
-    monitor.episode_lengths = checkpoint.arrays["monitor/lengths"].copy()
-    observations = checkpoint.arrays["last/observations"]
-    if stages.curiosity is not None:
-        stages.curiosity.continue_from(observations, checkpoint.arrays["curiosity/episode_sums"])
-    stages.model._last_obs = observations.copy()
-    stages.model._last_episode_starts = checkpoint.arrays["last/starts"].copy()
+    restore(checkpoint, episode_parts(stages))
     return True
 
 
-def _plain(value: Any) -> int | float | None:
-    """A logged number as JSON can have it: with the same digits, None for NaN."""
-    if isinstance(value, int | np.integer):
-        return int(value)
-    return None if math.isnan(value) else float(str(value))
+@dataclass(frozen=True)
+class Resumed:
+    """What a run has to know before its players are opened; without values, of a run that begins.
+
+    Attributes:
+        counters: What it has done so far.
+        lives: For each player, how often one was started before.
+        states: What each player needs to go on where it was; None if a player could not say.
+    """
+
+    counters: Counters = field(default_factory=Counters)
+    lives: list[int] | None = None
+    states: list[bytes] | None = None
 
 
-def _optimizer(model: BaseAlgorithm) -> dict[str, Array]:
-    """Of a policy that has one optimiser: each kind of moment, and the step counts, of all parameters in one array."""
-    optimizer = getattr(model.policy, "optimizer", None)
-    if optimizer is None:
-        return {}
-    states = [optimizer.state[parameter] for parameter in _parameters(optimizer)]
-    kinds = states[0] if states else {}
-    return {
-        f"optimizer/{kind}": np.concatenate([torch.as_tensor(state[kind]).numpy().ravel() for state in states])
-        for kind in kinds
-    }
+def resumed_from(checkpoint: Checkpoint, num_envs: int) -> Resumed:
+    """What a checkpoint says of a run that goes on.
 
-
-def _load_optimizer(model: BaseAlgorithm, arrays: Mapping[str, Array]) -> None:
-    optimizer = getattr(model.policy, "optimizer", None)
-    if optimizer is None:
-        return
-    parameters = _parameters(optimizer)
-    state: dict[int, dict[str, torch.Tensor]] = {index: {} for index in range(len(parameters))}
-    for kind, array in arrays.items():
-        whole = len(array) != len(parameters)  # else one number a parameter: how many steps were taken
-        sizes = [parameter.numel() if whole else 1 for parameter in parameters]
-        parts = torch.split(torch.from_numpy(array.copy()), sizes)
-        for index, (parameter, part) in enumerate(zip(parameters, parts, strict=True)):
-            state[index][kind] = part.reshape(parameter.shape if whole else ())
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state if arrays else {}})
-
-
-def _parameters(optimizer: torch.optim.Optimizer) -> list[torch.Tensor]:
-    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
-
-
-def _monitor(normaliser: VecNormalize) -> VecMonitor:
-    assert isinstance(normaliser.venv, VecMonitor)
-    return normaliser.venv
-
-
-def _statistics(normaliser: VecNormalize) -> RunningMeanStd:
-    assert isinstance(normaliser.obs_rms, RunningMeanStd)  # one vector observation
-    return normaliser.obs_rms
+    Raises:
+        TrainerError: It has another number of players.
+    """
+    counters, players = Counters(**checkpoint.facts["counters"]), checkpoint.part("players")
+    lives: list[int] = players["lives"]
+    if len(lives) != num_envs:
+        raise TrainerError(f"The checkpoint is of a run with {len(lives)} players, but --num-envs is {num_envs}.")
+    known = [players[name].tobytes() for number in range(len(lives)) if (name := f"state_{number}") in players]
+    states = known if len(known) == len(lives) else None
+    if states is None:  # with its former seed, a player would play the run's first episodes once more
+        lives = [life + 1 for life in lives]
+    return Resumed(replace(counters, resumes=counters.resumes + 1), lives, states)

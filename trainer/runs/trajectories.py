@@ -1,6 +1,5 @@
 """``trajectories.npz``: every number of a run's newest evaluation, exactly as it crossed the wire."""
 
-import os
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from trainer.errors import TrainerError
+from trainer.files import whole_file
 from trainer.runs.evaluation import Episode
 
 VERSION = 1
@@ -42,8 +42,7 @@ def save_trajectories(path: Path, trajectories: Trajectories) -> None:
     """
     episodes = trajectories.episodes
     names = sorted({name for episode in episodes for name in episode.statistics})
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("wb") as file:
+    with whole_file(path) as file:
         np.savez_compressed(
             file,
             version=VERSION,
@@ -59,9 +58,6 @@ def save_trajectories(path: Path, trajectories: Trajectories) -> None:
             statistic_names=np.array(names, dtype=np.str_),
             statistics=np.array([[episode.statistics.get(name, np.nan) for name in names] for episode in episodes]),
         )
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 def load_trajectories(path: Path) -> Trajectories:

@@ -24,16 +24,17 @@ from rich.progress import Progress
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from trainer.config import RunConfig
+from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
-from trainer.players.environment import BUILTIN
-from trainer.players.several import open_player
+from trainer.learning.stages import build_stages
+from trainer.players.location import BUILTIN
+from trainer.players.opening import open_players
 from trainer.runs.checkpoint import checkpoints
 from trainer.runs.evaluation import evaluate, summarise
 from trainer.runs.folder import RunFolder
-from trainer.runs.run import EVALUATION_SEED_OFFSET
-from trainer.runs.training import build_stages, load_trained
+from trainer.runs.training import load_trained
+from trainer.seeds import evaluation_seed
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED
 from trainer.studies.executors import free_port
@@ -196,12 +197,9 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
             file = Path(temporary) / "corridor.json"
             file.write_text(json.dumps({"num_opponents": change.opponents}), encoding="utf-8")
             config = dataclasses.replace(config, env_args=[*config.env_args, "--config", str(file)])
-        seed = (config.seed + EVALUATION_SEED_OFFSET) % 2**31
-        with open_player(config, Path(temporary), seed=seed, port=free_port(), timeout_wait=timeout_wait) as (
-            player,
-            _,
-        ):
-            shown = NearestOpponent(player)
+        connection = ConnectionOptions(base_port=free_port(), timeout_wait=timeout_wait)
+        with open_players(config, Path(temporary), connection, seed=evaluation_seed(config.seed)) as players:
+            shown = NearestOpponent(players)
             stages = build_stages(config, shown)
             load_trained(config, folder, stages)
             return summarise(evaluate(stages.model, stages.normaliser, shown, episodes))

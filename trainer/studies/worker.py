@@ -11,7 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
-from trainer.config import RunConfig
+from trainer.config import ConnectionOptions, RunConfig
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
 
@@ -28,10 +28,8 @@ def main() -> int:
         finished = train_run(
             config,
             folder,
-            port=order["port"],
-            timeout_wait=order["timeout_wait"],
+            ConnectionOptions(base_port=order["port"], timeout_wait=order["timeout_wait"]),
             episodes=order["episodes"],
-            resumed=False,
         )
     except TrainerError as error:
         print(f"error: {error}", file=sys.stderr)

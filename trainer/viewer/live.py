@@ -56,9 +56,8 @@ class LiveEvaluations:
     def close(self) -> None:
         """Ends the process, whatever it is doing."""
         if self._pool is not None:
-            processes = list((self._pool._processes or {}).values())
             self._pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
+            for process in multiprocessing.active_children():  # there are no others
                 process.kill()
 
 
@@ -74,16 +73,17 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from trainer.corridor import corridor_of
+    from trainer.learning.stages import build_stages
     from trainer.runs.evaluation import evaluate
     from trainer.runs.folder import RunFolder
-    from trainer.runs.run import evaluation_seed
-    from trainer.runs.training import build_stages, load_trained
+    from trainer.runs.training import load_trained
     from trainer.runs.trajectories import Trajectories
+    from trainer.seeds import evaluation_seed
     from trainer.viewer.scene import run_scene
 
     folder = RunFolder(run)
     config = folder.read_config()
-    seed = evaluation_seed(config)
+    seed = evaluation_seed(config.seed)
     corridor = corridor_of(config.penalty, config.environment_parameters)
     player = DummyVecEnv([partial(_Reporting, area, seed, corridor) for area in range(EPISODES)])
     stages = build_stages(config, player)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from trainer.config import RunConfig
+from trainer.config import ConnectionOptions, RunConfig
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories
@@ -16,22 +16,20 @@ from trainer.viewer.scene import run_scene
 def replay_run(
     config: RunConfig,
     folder: RunFolder,
+    connection: ConnectionOptions,
     *,
     checkpoint: str | None,
     episodes: int,
-    port: int,
-    timeout_wait: int,
 ) -> list[Path]:
     """Writes ``replay.html``, ``replay.gif`` and ``replay.mp4`` into the run's folder.
 
     Args:
         config: The run.
         folder: Its results.
+        connection: How a player is reached, if one is needed.
         checkpoint: Play this checkpoint (``step-500736``) instead of showing the run's evaluation; its files are named
             after it.
         episodes: How many the page shows.
-        port: Port for the player, if one is needed.
-        timeout_wait: Seconds to wait for it.
 
     Returns:
         The files.
@@ -40,7 +38,7 @@ def replay_run(
         TrainerError: There is nothing to show, or its file is broken.
     """
     console = Console()
-    trajectories = _trajectories(config, folder, checkpoint, episodes, port, timeout_wait, console)
+    trajectories = _trajectories(config, folder, connection, checkpoint, episodes, console)
     scene = run_scene(config, trajectories, episodes)
     for note in scene["notes"]:
         console.print(note, highlight=False, soft_wrap=True)
@@ -59,10 +57,9 @@ def replay_run(
 def _trajectories(
     config: RunConfig,
     folder: RunFolder,
+    connection: ConnectionOptions,
     checkpoint: str | None,
     episodes: int,
-    port: int,
-    timeout_wait: int,
     console: Console,
 ) -> Trajectories:
     if checkpoint is None and folder.trajectories.exists():
@@ -71,4 +68,4 @@ def _trajectories(
 
     if checkpoint is None:
         console.print("This run has no evaluation; its newest checkpoint is played.", highlight=False, soft_wrap=True)
-    return play_episodes(config, folder, port=port, timeout_wait=timeout_wait, episodes=episodes, checkpoint=checkpoint)
+    return play_episodes(config, folder, connection, episodes=episodes, checkpoint=checkpoint)

@@ -14,9 +14,9 @@ from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.config import RunConfig
 from trainer.corridor import corridor_of, is_corridor
 from trainer.errors import TrainerError
-from trainer.players.several import PLAYER_STRIDE, SEEDS
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories
+from trainer.seeds import player_seed
 
 SHOWN = 20  # episodes on a page, unless told otherwise
 FOREIGN = (
@@ -173,7 +173,7 @@ def _hidden_targets(
         player, area = divmod(episode.slot, config.num_areas)
         earlier = sum(other.slot == episode.slot for other in trajectories.episodes[:row])
         env = CorridorEnv(area=area, **asdict(corridor))
-        observation, _ = env.reset(seed=(trajectories.seed + player * PLAYER_STRIDE) % SEEDS)
+        observation, _ = env.reset(seed=player_seed(trajectories.seed, player))
         for _ in range(earlier):
             observation, _ = env.reset()
         observations, rewards = [observation], []

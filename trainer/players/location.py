@@ -1,0 +1,83 @@
+"""Where a player is: which program is launched, or on which address one is awaited."""
+
+import ipaddress
+import os
+import platform
+import shutil
+import sys
+from pathlib import Path
+
+from mlagents_envs import env_utils
+from mlagents_envs.environment import UnityEnvironment
+
+from trainer.errors import TrainerError
+
+BUILTIN, EDITOR = "builtin", "editor"
+LOOPBACK = "localhost"
+FOREIGN = {".exe": "Windows", ".app": "macOS", ".x86_64": "Linux", ".x86": "Linux"}
+
+
+def can_be_launched(env: str) -> bool:
+    """Whether the player is a program that the trainer starts itself, and so can start again."""
+    return place(env, 0)[0] is not None
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can connect to what listens on a host."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == LOOPBACK
+
+
+def place(env: str, port: int, listen: str = LOOPBACK) -> tuple[str | None, str, int]:
+    """Executable (None: wait for a player), host and port to listen on; ``port`` is for an executable."""
+    if env == BUILTIN:
+        return _builtin_player(), listen, port
+    if env == EDITOR:
+        return None, listen, UnityEnvironment.DEFAULT_EDITOR_PORT
+    host, colon, number = env.rpartition(":")
+    if colon and number.isdigit() and os.sep not in env:
+        return None, host, int(number)
+    return env, listen, port
+
+
+def check_launchable(env: str) -> None:
+    """Refuses what can be seen, without starting it, not to be a player.
+
+    Raises:
+        TrainerError: A player is to be launched, and there is none, or it may not be executed.
+    """
+    file_name, _, _ = place(env, 0)
+    if file_name is not None:
+        launch_path(file_name)
+
+
+def launch_path(file_name: str) -> str:
+    """The program that ``mlagents_envs`` would launch for a build's name.
+
+    Raises:
+        TrainerError: There is none, or it may not be executed.
+    """
+    path = env_utils.validate_environment_path(file_name)
+    if path is None:
+        if Path(file_name).suffix in FOREIGN and Path(file_name).exists():
+            system, here = FOREIGN[Path(file_name).suffix], platform.system()
+            raise TrainerError(
+                f"{file_name} is a build for {system}, but this machine runs {here}; choose {here} as the target "
+                "platform in Unity's Build Settings and build again."
+            )
+        if Path(file_name).is_dir():
+            raise TrainerError(f"{file_name} is a folder; give the path of the executable in it.")
+        raise TrainerError(f"There is no player {file_name}; give the path of a build's executable.")
+    if not os.access(path, os.X_OK):
+        raise TrainerError(f"{path} may not be executed; run 'chmod +x {path}'.")
+    return str(path)
+
+
+def _builtin_player() -> str:
+    beside = Path(sys.executable).with_name("corridor-server")
+    found = str(beside) if beside.exists() else shutil.which("corridor-server")
+    if found is None:
+        raise TrainerError("The command corridor-server is not installed; run 'pip install .[trainer]'.")
+    return found

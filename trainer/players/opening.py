@@ -1,0 +1,195 @@
+"""Opens players: one environment by hand, or all the players of a run."""
+
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mlagents_envs.exception import UnityException, UnityTimeOutException, UnityWorkerInUseException
+from mlagents_envs.side_channel.side_channel import SideChannel
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from rich.console import Console
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from trainer.config import ConnectionOptions, RestartLimits, RunConfig
+from trainer.errors import TrainerError
+from trainer.players.area_state import PlayerState
+from trainer.players.behavior import only_behavior
+from trainer.players.environment import Environment
+from trainer.players.failures import log_hint, log_path, player_errors, sentence
+from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
+from trainer.players.location import BUILTIN, LOOPBACK, can_be_launched, is_loopback, launch_path, place
+from trainer.players.settings import channels
+from trainer.players.several import OpenPlayer, Players
+from trainer.players.vec_env import UnityVecEnv
+from trainer.seeds import player_seed
+from trainer.signals import uninterrupted
+
+
+def open_environment(
+    env: str,
+    *,
+    seed: int,
+    num_areas: int,
+    port: int,
+    timeout_wait: int,
+    log_folder: Path | None = None,
+    side_channels: list[SideChannel] | None = None,
+    number: int = 0,
+    env_args: Sequence[str] = (),
+    listen: str = LOOPBACK,
+) -> Environment:
+    """Starts or awaits a player and shakes hands.
+
+    Args:
+        env: ``builtin``; ``editor``; a build's path; or ``HOST:PORT``, where to listen for a player.
+        seed: Sent to the player.
+        num_areas: Training areas that the player shall make.
+        port: The port for player 0 if it is launched here (the editor's is 5004).
+        timeout_wait: Seconds to wait for the player.
+        log_folder: Where a launched player writes ``Player-<number>.log``.
+        side_channels: Channels to register.
+        number: Of several players, from 0; added to the port.
+        env_args: Arguments of a launched player's own.
+        listen: Where to listen, unless ``env`` says so. The protocol has no authentication: a warning is printed for
+            anything but loopback.
+
+    Raises:
+        TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
+    """
+    file_name, host, port = place(env, port, listen)
+    port += number
+    if not 1 <= port <= 65535:
+        raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
+    options: dict[str, Any] = {
+        "seed": seed,
+        "num_areas": num_areas,
+        "timeout_wait": timeout_wait,
+        "side_channels": side_channels,
+        "additional_args": list(env_args),
+    }
+    if env == BUILTIN:
+        options["additional_args"] += ["--parent", str(os.getpid())]
+        if host not in (LOOPBACK, "0.0.0.0", "[::]"):
+            options["additional_args"] += ["--host", host]
+    if file_name is not None:
+        file_name = launch_path(file_name)
+    if not is_loopback(host):
+        Console(stderr=True).print(
+            f"Warning: listening on {host}:{port}, which other machines can reach. The ML-Agents protocol has no "
+            "authentication and no encryption: whoever connects first is the player. Trust that network, or leave it.",
+            style="yellow",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
+    if log_folder is not None:
+        log_folder.mkdir(parents=True, exist_ok=True)
+        options["log_folder"] = str(log_folder.absolute())
+    try:
+        return Environment(file_name, port, host, number, **options)
+    except UnityWorkerInUseException as error:
+        raise TrainerError(f"Port {port} on {host} is in use; choose another with --base-port.") from error
+    except UnityTimeOutException as error:
+        raise TrainerError(
+            f"No player dialled in on {host}:{port} within {timeout_wait} s; start one with '--mlagents-port {port}', "
+            "or give it more time with --timeout-wait."
+        ) from error
+    except UnityException as error:
+        raise TrainerError(f"{sentence(error)}{log_hint(log_folder and log_path(log_folder, number))}") from error
+    except OSError as error:
+        raise TrainerError(
+            f"{file_name} does not run on this machine ({platform.system()} {platform.machine()}: {error.strerror}); "
+            f"build the player for {platform.system()} on {platform.machine()}."
+        ) from error
+
+
+@contextmanager
+def open_players(
+    config: RunConfig,
+    logs: Path,
+    connection: ConnectionOptions,
+    *,
+    seed: int,
+    limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
+    lives: Sequence[int] | None = None,
+    states: Sequence[bytes] | None = None,
+) -> Iterator[Players]:
+    """Opens the run's players as a VecEnv, and closes them whatever happens.
+
+    Args:
+        config: The run.
+        logs: Folder for the players' logs.
+        connection: Where they are reached, unless ``config.env`` says so; the first one's port, the others' follow.
+        seed: Player 0's; the others' follow from it.
+        limits: How often one that failed may be started again.
+        lives: How often each was started before, in earlier parts of a resumed run.
+        states: Of each, the areas' state to go on with.
+
+    Raises:
+        TrainerError: A player can't be started, or does not fit.
+    """
+    lives = [0] * config.num_envs if lives is None else lives
+
+    def start(number: int, life: int) -> OpenPlayer:
+        state = PlayerState(states[number] if states is not None and life == lives[number] else None)
+        return _open(config, logs, connection, number, player_seed(seed, number, life), state)
+
+    first = place(config.env, connection.base_port)[2]
+    if first + config.num_envs - 1 > 65535:
+        raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
+    players = Players(start, lives, limits, logs, can_be_launched(config.env))
+    try:
+        with player_errors(log_path(logs, 0)):
+            yield players
+    except UnityGymException as error:
+        raise TrainerError(str(error)) from error
+    finally:
+        with uninterrupted():
+            players.close()
+
+
+def _open(
+    config: RunConfig, logs: Path, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
+) -> OpenPlayer:
+    statistics = StatsSideChannel()
+    environment = open_environment(
+        config.env,
+        seed=seed,
+        num_areas=config.num_areas,
+        port=connection.base_port,
+        timeout_wait=connection.timeout_wait,
+        log_folder=logs,
+        side_channels=[statistics, *channels(config, seed), state],
+        number=number,
+        env_args=config.env_args,
+        listen=connection.listen,
+    )
+    try:
+        with player_errors(log_path(logs, number)):
+            slots = (
+                _one_area(config, environment, statistics)
+                if config.through_gym
+                else UnityVecEnv(environment, statistics)
+            )
+            return OpenPlayer(environment, slots, state, *only_behavior(environment))
+    except BaseException:
+        environment.kill()
+        raise
+
+
+def _one_area(config: RunConfig, environment: Environment, statistics: StatsSideChannel) -> VecEnv:
+    try:
+        wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
+    except UnityGymException as error:
+        behavior, _ = only_behavior(environment)  # which knows better what a scene has to change
+        agents = max(map(len, environment.get_steps(behavior)))
+        if agents > 1:
+            raise TrainerError(
+                f"The player has {agents} agents, but preset {config.preset} trains one, through UnityToGymWrapper; "
+                "leave one agent in the scene, or take preset fast."
+            ) from error
+        raise TrainerError(str(error)) from error
+    return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)])

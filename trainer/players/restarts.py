@@ -1,0 +1,70 @@
+"""How often a player that died or hung is started again."""
+
+import time
+from pathlib import Path
+
+from mlagents_envs.exception import UnityException
+from rich.console import Console
+
+from trainer.config import RestartLimits
+from trainer.errors import TrainerError
+from trainer.players.failures import explain
+
+
+class Restarts:
+    """Counts one player's restarts against the limits, and says on standard error why each is made.
+
+    Args:
+        number: Which player.
+        limits: How often it may be started again.
+        log: Its log; one that died leaves it as ``<name>.died-<restart>.log``.
+        launched: Whether it is launched here; else it has to dial in again.
+    """
+
+    def __init__(self, number: int, limits: RestartLimits, log: Path, launched: bool) -> None:
+        self._number = number
+        self._limits = limits
+        self._log = log
+        self._launched = launched
+        self._console = Console(stderr=True)
+        self._times: list[float] = []
+
+    @property
+    def count(self) -> int:
+        """How many restarts there were."""
+        return len(self._times)
+
+    def allow(self, failure: UnityException) -> None:
+        """Counts a restart.
+
+        Raises:
+            TrainerError: The limits allow no more.
+        """
+        limits, now = self._limits, time.monotonic()
+        reason = explain(failure, self._keep_log())
+        if limits.max_lifetime_restarts != -1 and self.count >= limits.max_lifetime_restarts:
+            raise TrainerError(
+                f"{reason} Player {self._number} is not started again: --max-lifetime-restarts allows "
+                f"{limits.max_lifetime_restarts}."
+            ) from failure
+        recent = sum(now - each < limits.restarts_rate_limit_period_s for each in self._times)
+        if limits.restarts_rate_limit_n != -1 and recent >= limits.restarts_rate_limit_n:
+            raise TrainerError(
+                f"{reason} Player {self._number} is not started again: --restarts-rate-limit-n allows "
+                f"{limits.restarts_rate_limit_n} in {limits.restarts_rate_limit_period_s:g} s."
+            ) from failure
+        self._times.append(now)
+        again = "It is started again" if self._launched else "Waiting for it to dial in again"
+        self._console.print(
+            f"Player {self._number}: {reason} {again} (restart {self.count}).",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+
+    def _keep_log(self) -> Path:
+        """Renames the log of a player that died: its next life writes a new one."""
+        kept = self._log.with_suffix(f".died-{self.count + 1}.log")
+        if self._log.exists():
+            self._log.replace(kept)
+        return kept
