@@ -110,7 +110,7 @@ def test_corridor_has_nothing_that_unpickles():
     sources = [path.read_text() for path in Path(files.__file__).parents[1].rglob("*.py")]
     for word in ("import pickle", "cloudpickle", "allow_pickle=True", "joblib"):
         assert not [text for text in sources if word in text], word
-    # Tensors and plain containers only; tests/test_sb3_zip.py shows that code does not run.
+    # Tensors and plain containers only; tests/learning/test_sb3_zip.py shows that code does not run.
     assert all(text.count("torch.load(") == text.count("weights_only=True") for text in sources)
 
 
