@@ -163,7 +163,7 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_files(tmp_path):
     for attempt in range(5):
         folder = tmp_path / str(attempt)
         command = [sys.executable, "-c", KILLED, str(folder)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[1]) as process:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parent) as process:
             assert process.stdout is not None
             process.stdout.readline()
             while not folder.is_dir() or len(list(folder.glob("*.safetensors"))) < 2:
