@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from trainer.runs.evaluation import Episode
 
@@ -61,7 +62,6 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     """
     config = corridor or CorridorConfig()
     seen = episode.observations.astype(float)
-    opponents = (seen.shape[1] - 8) // 5
     figure = _figure(9.0, 5.2)
     axes = figure.add_subplot()
     length, width = config.half_length, config.half_width
@@ -69,15 +69,16 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     axes.add_patch(_disc((config.switch_x, config.switch_z), config.switch_radius, SWITCH, 0.15))
     axes.annotate("switch", (config.switch_x, config.switch_z), color=SWITCH, ha="center", va="center")
     second = max(round(1.0 / config.decision_seconds), 1)
-    for opponent in range(opponents):
-        columns = seen[:, 8 + 5 * opponent : 10 + 5 * opponent] * length
-        _path(axes, columns, OPPONENT, "opponent" if opponent == 0 else None, config.opponent_radius, second)
-    learner = seen[:, 0:2] * length
+    opponents = layout.opponent_blocks(seen)[..., layout.OPPONENT_POSITION] * length
+    for number in range(opponents.shape[1]):
+        label = "opponent" if number == 0 else None
+        _path(axes, opponents[:, number], OPPONENT, label, config.opponent_radius, second)
+    learner = seen[:, layout.POSITION] * length
     _path(axes, learner, LEARNER, "learner", config.agent_radius, second)
-    goal = seen[-1, 4:6] * length
+    goal = seen[-1, layout.GOAL] * length
     axes.add_patch(_disc((goal[0], goal[1]), config.goal_radius, LEARNER, 0.2))
     axes.annotate("target", (goal[0], goal[1]), color=LEARNER, ha="center", va="center")
-    on = np.flatnonzero(seen[:, 7] > 0.5)
+    on = np.flatnonzero(seen[:, layout.SWITCH] > 0.5)
     if len(on):
         axes.plot(*learner[on[0]], marker="*", markersize=15, color=SWITCH, label="switch turned on", linestyle="none")
     axes.set_aspect("equal")
