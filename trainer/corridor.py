@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from mlagents_envs.base_env import BehaviorSpec
 
+from corridor_server.corridor import colours
 from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.parameters import EpisodeParameters
@@ -36,6 +37,10 @@ CORRIDOR: dict[str, float] = {
     "opponent_speed": 1.5,
     "opponent_target_x": 1.0,
 }
+# Who has which colour on a figure.
+LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR = map(
+    colours.hexadecimal, (colours.LEARNER, colours.OPPONENT, colours.SWITCH_ON, colours.WALL)
+)
 
 
 def is_corridor(behavior: str) -> bool:

@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from corridor_server.corridor import observation as layout
-from corridor_server.corridor.drawing import (
+from corridor_server.corridor.colours import (
     BACKGROUND,
     FLOOR,
     LEARNER,
     OPPONENT,
     SWITCH_OFF,
     SWITCH_ON,
+    TEXT,
     WALL,
-    WALL_THICKNESS,
+    Colour,
 )
+from corridor_server.corridor.drawing import WALL_THICKNESS
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories
 
-Colour = tuple[int, int, int]
 Point = tuple[float, float]
 
 WIDTH = 640  # pixels
@@ -31,7 +32,6 @@ LINE = 34  # pixels for the line of numbers
 FINER = 2  # drawn this much larger, then reduced: smooth edges
 BETWEEN = 3  # MP4 frames a decision; a GIF has one
 HOLD_SECONDS = 1.5  # on the last frame
-TEXT: Colour = (30, 34, 39)
 
 
 def save_animations(trajectories: Trajectories, scene: dict[str, Any], gif: Path, mp4: Path) -> None:
