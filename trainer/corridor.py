@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from mlagents_envs.base_env import BehaviorSpec
 
+from corridor_server.corridor import colours
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.protocol.samplers import Value
@@ -35,6 +37,10 @@ CORRIDOR: dict[str, float] = {
     "opponent_speed": 1.5,
     "opponent_target_x": 1.0,
 }
+# Who has which colour on a figure.
+LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR = map(
+    colours.hexadecimal, (colours.LEARNER, colours.OPPONENT, colours.SWITCH_ON, colours.WALL)
+)
 
 
 def is_corridor(behavior: str) -> bool:
@@ -50,11 +56,11 @@ def check_contract(spec: BehaviorSpec) -> None:
     """
     shapes = [tuple(observation.shape) for observation in spec.observation_specs]
     vector = [shape[0] for shape in shapes if len(shape) == 1]
-    if len(vector) != 1 or vector[0] < 13 or (vector[0] - 8) % 5:
+    if len(vector) != 1 or not layout.is_size(vector[0]):
         raise TrainerError(
-            f"Behavior Corridor has observations of shapes {shapes}, but one vector of 8 + 5K floats for K opponents "
-            "(13 for one) was expected; set the vector observation's Space Size to that and "
-            "collect what docs/contract.md lists."
+            f"Behavior Corridor has observations of shapes {shapes}, but one vector of {layout.OWN_SIZE} + "
+            f"{layout.OPPONENT_SIZE}K floats for K opponents ({layout.size(1)} for one) was expected; set the vector "
+            "observation's Space Size to that and collect what docs/contract.md lists."
         )
     action = spec.action_spec
     if action.continuous_size != 2 or action.discrete_size:

@@ -7,6 +7,8 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from corridor_server.corridor import observation as layout
+
 Range = tuple[float, float]
 
 
@@ -73,7 +75,7 @@ class CorridorConfig:
     @property
     def observation_size(self) -> int:
         """Number of floats in an observation: 8 + 5K (eq. 10)."""
-        return 8 + 5 * self.num_opponents
+        return layout.size(self.num_opponents)
 
     @property
     def decision_seconds(self) -> float:

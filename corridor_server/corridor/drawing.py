@@ -5,18 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.corridor.colours import (
+    BACKGROUND,
+    FLOOR,
+    LEARNER,
+    OPPONENT,
+    SWITCH_OFF,
+    SWITCH_ON,
+    WALL,
+    Colour,
+)
 from corridor_server.corridor.world import Bools, Floats, Parameters, State
-
-Colour = tuple[int, int, int]
-
-BACKGROUND: Colour = (255, 255, 255)
-FLOOR: Colour = (238, 238, 234)
-WALL: Colour = (85, 85, 85)
-# The paper's roles: orange learner and target, purple opponent and target.
-LEARNER: Colour = (232, 133, 12)
-OPPONENT: Colour = (123, 63, 160)
-SWITCH_OFF: Colour = (190, 205, 195)
-SWITCH_ON: Colour = (0, 158, 115)  # told from orange and purple by the colour-blind, too
 
 WALL_THICKNESS = 0.3  # m
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.corridor import observation as layout
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Counts = NDArray[np.int64]
@@ -204,23 +206,19 @@ def step(p: Parameters, state: State, action: Floats) -> tuple[State, Outcome]:
 
 
 def observation(p: Parameters, state: State) -> NDArray[np.float32]:
-    """Eq. 10's agent-centric state, (A, 8 + 5K) float32.
-
-    In order: p, V, p_g, d_g, sw_ind, then for each opponent p_op, d_op, V_op (eq. 8). Positions and distances are in
-    half-lengths of the corridor, velocities in half-lengths per second, sw_ind is 0 or 1.
-    """
+    """Eq. 10's agent-centric state, (A, 8 + 5K) float32, with eq. 8 for each opponent; in the units of ``layout``."""
     areas, opponents, _ = state.opponent_position.shape
     scale = p["half_length"][:, None]
-    result = np.empty((areas, 8 + 5 * opponents), dtype=np.float32)
-    result[:, 0:2] = state.position / scale
-    result[:, 2:4] = state.velocity / scale
-    result[:, 4:6] = state.goal / scale
-    result[:, 6] = _length(state.goal - state.position) / p["half_length"]
-    result[:, 7] = state.switch_on
-    each = result[:, 8:].reshape(areas, opponents, 5)
-    each[..., 0:2] = state.opponent_position / scale[..., None]
-    each[..., 2] = _length(state.opponent_position - state.position[:, None]) / scale
-    each[..., 3:5] = state.opponent_velocity / scale[..., None]
+    result = np.empty((areas, layout.size(opponents)), dtype=np.float32)
+    result[:, layout.POSITION] = state.position / scale
+    result[:, layout.VELOCITY] = state.velocity / scale
+    result[:, layout.GOAL] = state.goal / scale
+    result[:, layout.GOAL_DISTANCE] = _length(state.goal - state.position) / p["half_length"]
+    result[:, layout.SWITCH] = state.switch_on
+    each = layout.opponent_blocks(result)
+    each[..., layout.OPPONENT_POSITION] = state.opponent_position / scale[..., None]
+    each[..., layout.OPPONENT_DISTANCE] = _length(state.opponent_position - state.position[:, None]) / scale
+    each[..., layout.OPPONENT_VELOCITY] = state.opponent_velocity / scale[..., None]
     return result
 
 

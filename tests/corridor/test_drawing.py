@@ -4,7 +4,8 @@ import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
-from corridor_server.corridor.drawing import LEARNER, OPPONENT, SWITCH_OFF, SWITCH_ON, top_view
+from corridor_server.corridor.colours import FLOOR, LEARNER, OPPONENT, SWITCH_OFF, SWITCH_ON
+from corridor_server.corridor.drawing import top_view
 
 
 def pixel(picture, x: float, z: float) -> tuple[int, ...]:
@@ -23,7 +24,7 @@ def test_agents_targets_and_switch_stand_where_they_are(one_area):
     assert pixel(picture, 0.0, 3.0) == SWITCH_OFF
     for target, colour in (((9.0, -2.0), LEARNER), ((-9.0, 1.0), OPPONENT)):
         mixed = np.array(pixel(picture, *target), int)
-        assert np.abs(mixed - colour).sum() < np.abs(np.array((238, 238, 234)) - colour).sum()
+        assert np.abs(mixed - colour).sum() < np.abs(np.array(FLOOR) - colour).sum()
 
 
 def test_the_switch_changes_colour_when_it_is_on(one_area):

@@ -37,6 +37,7 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
 from corridor_server.protocol.messages import API_VERSION, EXCHANGE, RESET, SERVICE, UnityMessageProto
 from corridor_server.protocol.wire import BEHAVIOR
+from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, WALL_COLOUR
 from trainer.errors import TrainerError
 from trainer.players.communicator import OK, STOP
 from trainer.players.location import BUILTIN, launch_path, place
@@ -442,7 +443,7 @@ def _plot(report: dict[str, Any], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     lines = [("ours", "this trainer"), ("mlagents_envs", "mlagents-envs 0.28.0"), ("official", "mlagents-envs 1.1.0")]
-    for (name, label), colour in zip(lines, ("#e8850c", "#7b3fa0", "#555555"), strict=True):
+    for (name, label), colour in zip(lines, (LEARNER_COLOUR, OPPONENT_COLOUR, WALL_COLOUR), strict=True):
         points = [(row["areas"], row[name]) for row in report["exchange"] if row[name]]
         if points:
             axes.plot(*zip(*points, strict=True), marker="o", label=label, color=colour)

@@ -1,9 +1,12 @@
 """The corridor's own contract (docs/contract.md): what a player must offer to stand in for the paper's corridor."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import side_channels as channels
 from trainer.conformance.channels import environment_parameter
@@ -49,8 +52,7 @@ class CorridorContract(Conformance):
     def test_the_vector_observation_has_8_plus_5_k_floats(self) -> None:
         with self.playing() as session:
             size = len(vector(self._first(session)))
-            assert size >= 13, f"{size} floats"
-            assert (size - 8) % 5 == 0, f"{size} floats"
+            assert layout.is_size(size), f"{size} floats"
 
     def test_an_episode_begins_at_rest_with_the_switch_off_inside_the_corridor(self) -> None:
         with self.playing(num_areas=8) as session:
@@ -71,9 +73,11 @@ class CorridorContract(Conformance):
             for _ in range(30):
                 for info in agents(session.output):
                     seen = np.array(vector(info), dtype=float)
-                    goal, opponent = np.hypot(*(seen[4:6] - seen[0:2])), np.hypot(*(seen[8:10] - seen[0:2]))
-                    assert abs(goal - seen[6]) < 1e-3, f"d_g is {seen[6]:g}, positions say {goal:g}"
-                    assert abs(opponent - seen[10]) < 1e-3, f"d_op is {seen[10]:g}, positions say {opponent:g}"
+                    position, d_g = seen[layout.POSITION], seen[layout.GOAL_DISTANCE]
+                    p_op, d_op = _opponent(seen)[layout.OPPONENT_POSITION], _opponent(seen)[layout.OPPONENT_DISTANCE]
+                    goal, opponent = np.hypot(*(seen[layout.GOAL] - position)), np.hypot(*(p_op - position))
+                    assert abs(goal - d_g) < 1e-3, f"d_g is {d_g:g}, positions say {goal:g}"
+                    assert abs(opponent - d_op) < 1e-3, f"d_op is {d_op:g}, positions say {opponent:g}"
                 session.step_randomly(generator)
 
     def test_action_0_moves_along_x_and_action_1_along_z(self) -> None:
@@ -81,7 +85,7 @@ class CorridorContract(Conformance):
             with self.playing() as session:
                 for _ in range(5):
                     session.act({BEHAVIOR: [action]})
-                velocity = vector(self._first(session))[2:4]
+                velocity = vector(self._first(session))[layout.VELOCITY]
                 assert velocity[axis] > 0.01, f"action {action} gives velocity {velocity}"
                 assert abs(velocity[1 - axis]) < 0.01, f"action {action} gives velocity {velocity}"
 
@@ -89,17 +93,18 @@ class CorridorContract(Conformance):
         with self.playing(num_areas=4) as session:
             for _ in range(3):
                 session.act({BEHAVIOR: [[1.0 if place % 2 else -1.0, 0.0] for place in range(4)]})
-            signs = [vector(info)[2] > 0 for info in deciding(session.output)]
+            signs = [vector(info)[layout.VELOCITY][0] > 0 for info in deciding(session.output)]
             assert signs == [False, True, False, True], f"agents went +x: {signs}"
 
     def test_velocity_is_the_change_of_position(self) -> None:
         with self.playing(seed=2) as session:
-            before = np.array(vector(self._first(session)), dtype=float)
+            before = _opponent(vector(self._first(session)))
             opponent_moves = []
             for _ in range(10):
                 session.step(0.0)
-                after = np.array(vector(self._first(session)), dtype=float)
-                opponent_moves.append(np.abs((after[8:10] - before[8:10]) / 0.1 - after[11:13]).max())
+                after = _opponent(vector(self._first(session)))
+                moved = after[layout.OPPONENT_POSITION] - before[layout.OPPONENT_POSITION]
+                opponent_moves.append(np.abs(moved / 0.1 - after[layout.OPPONENT_VELOCITY]).max())
                 before = after
             assert min(opponent_moves) < 0.01, "V_op is not (change of p_op) / 0.1 s"
 
@@ -108,7 +113,7 @@ class CorridorContract(Conformance):
             headings = []
             for _ in range(15):
                 session.step(0.0)
-                headings.append(np.array(vector(self._first(session))[11:13]))
+                headings.append(_opponent(vector(self._first(session)))[layout.OPPONENT_VELOCITY])
             assert np.ptp(headings, axis=0).max() < 0.01, "V_op changes on the way"
 
     def test_a_step_far_from_everything_costs_a_thousandth(self) -> None:
@@ -138,7 +143,7 @@ class CorridorContract(Conformance):
                 for info in deciding(session.output):
                     if info.id in new and not info.reward:
                         continue
-                    near = -0.1 - (1.0 - vector(info)[10]) / 4.0
+                    near = -0.1 - (1.0 - _opponent(vector(info))[layout.OPPONENT_DISTANCE]) / 4.0
                     table = (-0.001, -0.1, -0.25, near)
                     assert min(abs(info.reward - each) for each in table) < 1e-4, f"reward {info.reward:g}"
 
@@ -159,7 +164,7 @@ class CorridorContract(Conformance):
 
     def test_a_parameter_takes_effect_at_the_next_reset(self) -> None:
         with self.playing(side_channel=environment_parameter("goal_x", 5.0)) as session:
-            goal = vector(self._first(session))[4]
+            goal = vector(self._first(session))[layout.GOAL][0]
             assert abs(goal - 5.0 / DEFAULT.half_length) < 1e-3, f"p_g is at {goal:g}"
 
     def test_statistics_come_with_every_ended_episode(self) -> None:
@@ -187,10 +192,18 @@ class CorridorContract(Conformance):
 
     @staticmethod
     def _is_a_start(seen: list[float]) -> None:
-        assert seen[2:4] == [0.0, 0.0], f"velocity {seen[2:4]} at the start"
-        assert seen[7] == 0.0, f"sw_ind is {seen[7]:g} at the start"
+        (x, z), velocity, switch = seen[layout.POSITION], seen[layout.VELOCITY], seen[layout.SWITCH]
+        assert velocity == [0.0, 0.0], f"velocity {velocity} at the start"
+        assert switch == 0.0, f"sw_ind is {switch:g} at the start"
         spawn = [edge / DEFAULT.half_length for edge in DEFAULT.agent_spawn_x]
-        assert spawn[0] - 1e-6 <= seen[0] <= spawn[1] + 1e-6, f"x = {seen[0]:g} is out of [{spawn[0]}, {spawn[1]}]"
+        assert spawn[0] - 1e-6 <= x <= spawn[1] + 1e-6, f"x = {x:g} is out of [{spawn[0]}, {spawn[1]}]"
         side = DEFAULT.spawn_z / DEFAULT.half_length + 1e-6
-        assert abs(seen[1]) <= side, f"z = {seen[1]:g} is out of +-{side:g}"
-        assert abs(seen[4] - DEFAULT.goal_x / DEFAULT.half_length) < 1e-6, f"the target's x is {seen[4]:g}"
+        assert abs(z) <= side, f"z = {z:g} is out of +-{side:g}"
+        goal_x = seen[layout.GOAL][0]
+        assert abs(goal_x - DEFAULT.goal_x / DEFAULT.half_length) < 1e-6, f"the target's x is {goal_x:g}"
+
+
+def _opponent(seen: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """The first opponent's block."""
+    block: NDArray[np.float64] = layout.opponent_blocks(np.asarray(seen, dtype=np.float64))[0]
+    return block

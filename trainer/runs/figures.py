@@ -10,12 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
+from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR
 from trainer.runs.evaluation import Episode
-
-# The paper's roles.
-LEARNER, OPPONENT, SWITCH = "#e8850c", "#7b3fa0", "#009e73"
-GREY = "#555555"
 
 
 def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, path: Path) -> None:
@@ -27,10 +25,10 @@ def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, pat
         path: The PNG file.
     """
     panels = [
-        ("mean_return", "return", LEARNER),
-        ("success_rate", "success rate", SWITCH),
-        ("mean_episode_length", "episode length (decisions)", GREY),
-        ("intrinsic_reward", "intrinsic reward a step", OPPONENT),
+        ("mean_return", "return", LEARNER_COLOUR),
+        ("success_rate", "success rate", SWITCH_COLOUR),
+        ("mean_episode_length", "episode length (decisions)", WALL_COLOUR),
+        ("intrinsic_reward", "intrinsic reward a step", OPPONENT_COLOUR),
     ]
     figure = _figure(9.0, 5.4)
     for index, (column, label, colour) in enumerate(panels):
@@ -40,7 +38,7 @@ def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, pat
             steps, values = np.array(points, dtype=float).T
             axes.plot(steps / 1e6, values, color=colour, linewidth=1.4)
         else:
-            axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=GREY)
+            axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=WALL_COLOUR)
         if column == "success_rate":
             axes.set_ylim(-0.03, 1.03)
         axes.set_ylabel(label)
@@ -61,25 +59,27 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     """
     config = corridor or CorridorConfig()
     seen = episode.observations.astype(float)
-    opponents = (seen.shape[1] - 8) // 5
     figure = _figure(9.0, 5.2)
     axes = figure.add_subplot()
     length, width = config.half_length, config.half_width
-    axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, edgecolor=GREY, linewidth=2))
-    axes.add_patch(_disc((config.switch_x, config.switch_z), config.switch_radius, SWITCH, 0.15))
-    axes.annotate("switch", (config.switch_x, config.switch_z), color=SWITCH, ha="center", va="center")
+    axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, edgecolor=WALL_COLOUR, linewidth=2))
+    axes.add_patch(_disc((config.switch_x, config.switch_z), config.switch_radius, SWITCH_COLOUR, 0.15))
+    axes.annotate("switch", (config.switch_x, config.switch_z), color=SWITCH_COLOUR, ha="center", va="center")
     second = max(round(1.0 / config.decision_seconds), 1)
-    for opponent in range(opponents):
-        columns = seen[:, 8 + 5 * opponent : 10 + 5 * opponent] * length
-        _path(axes, columns, OPPONENT, "opponent" if opponent == 0 else None, config.opponent_radius, second)
-    learner = seen[:, 0:2] * length
-    _path(axes, learner, LEARNER, "learner", config.agent_radius, second)
-    goal = seen[-1, 4:6] * length
-    axes.add_patch(_disc((goal[0], goal[1]), config.goal_radius, LEARNER, 0.2))
-    axes.annotate("target", (goal[0], goal[1]), color=LEARNER, ha="center", va="center")
-    on = np.flatnonzero(seen[:, 7] > 0.5)
+    opponents = layout.opponent_blocks(seen)[..., layout.OPPONENT_POSITION] * length
+    for number in range(opponents.shape[1]):
+        label = "opponent" if number == 0 else None
+        _path(axes, opponents[:, number], OPPONENT_COLOUR, label, config.opponent_radius, second)
+    learner = seen[:, layout.POSITION] * length
+    _path(axes, learner, LEARNER_COLOUR, "learner", config.agent_radius, second)
+    goal = seen[-1, layout.GOAL] * length
+    axes.add_patch(_disc((goal[0], goal[1]), config.goal_radius, LEARNER_COLOUR, 0.2))
+    axes.annotate("target", (goal[0], goal[1]), color=LEARNER_COLOUR, ha="center", va="center")
+    on = np.flatnonzero(seen[:, layout.SWITCH] > 0.5)
     if len(on):
-        axes.plot(*learner[on[0]], marker="*", markersize=15, color=SWITCH, label="switch turned on", linestyle="none")
+        axes.plot(
+            *learner[on[0]], marker="*", markersize=15, color=SWITCH_COLOUR, label="switch turned on", linestyle="none"
+        )
     axes.set_aspect("equal")
     axes.set_xlim(-length - 0.3, length + 0.3)
     axes.set_ylim(-width - 0.3, width + 0.3)

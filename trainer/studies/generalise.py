@@ -24,6 +24,7 @@ from rich.progress import Progress
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from corridor_server.corridor import observation as layout
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
@@ -41,7 +42,6 @@ from trainer.studies.executors import free_port
 from trainer.studies.plots import new_figure, save
 
 AREAS = 64
-OWN, PER_OPPONENT, DISTANCE = 8, 5, 2  # eq. 10's observation: the learner's part, an opponent's, p_op before d_op
 SPEEDS = (0.5, 0.75, 1.0, 1.5, 2.0)
 WIDTHS = (1.0, 0.8, 0.6)
 SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)
@@ -97,10 +97,10 @@ class NearestOpponent(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv) -> None:
         shape = venv.observation_space.shape or ()
-        if len(shape) != 1 or shape[0] < OWN + PER_OPPONENT or (shape[0] - OWN) % PER_OPPONENT:
+        if len(shape) != 1 or not layout.is_size(shape[0]):
             raise TrainerError(f"corridor study generalise is for the corridor, not for observations of shape {shape}.")
         low, high = -np.inf, np.inf
-        super().__init__(venv, observation_space=spaces.Box(low, high, (OWN + PER_OPPONENT,), np.float32))
+        super().__init__(venv, observation_space=spaces.Box(low, high, (layout.size(1),), np.float32))
 
     def reset(self) -> VecEnvObs:
         """Begins an episode in every slot."""
@@ -115,10 +115,10 @@ class NearestOpponent(VecEnvWrapper):
 
 
 def nearest(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n, 13) of (n, 8 + 5K): the first eight floats, and the five of the opponent whose distance is smallest."""
-    opponents = observations[:, OWN:].reshape(len(observations), -1, PER_OPPONENT)
-    chosen = opponents[np.arange(len(observations)), opponents[:, :, DISTANCE].argmin(axis=1)]
-    return np.concatenate((observations[:, :OWN], chosen), axis=1)
+    """(n, 13) of (n, 8 + 5K): the learner's own floats, and those of the opponent whose distance is smallest."""
+    opponents = layout.opponent_blocks(observations)
+    chosen = opponents[np.arange(len(observations)), opponents[:, :, layout.OPPONENT_DISTANCE].argmin(axis=1)]
+    return np.concatenate((observations[:, : layout.OWN_SIZE], chosen), axis=1)
 
 
 def panels(config: RunConfig) -> list[Panel]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trainer.config import Algorithm, Intrinsic, PPOConfig, PresetName, RunConfig, preset_run
+from trainer.corridor import LEARNER_COLOUR
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ ALGORITHMS = Study(
         CurveFigure(
             "curious-",
             "With curiosity",
-            {C03.name: BLUE, RND.name: "#e8850c", **{arm.name: _COLOURS[arm.algo] for arm in _CURIOUS}},
+            {C03.name: BLUE, RND.name: LEARNER_COLOUR, **{arm.name: _COLOURS[arm.algo] for arm in _CURIOUS}},
         ),
         CurveFigure(
             "incurious-",

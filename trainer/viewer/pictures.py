@@ -9,20 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from corridor_server.corridor.drawing import (
+from corridor_server.corridor import observation as layout
+from corridor_server.corridor.colours import (
     BACKGROUND,
     FLOOR,
     LEARNER,
     OPPONENT,
     SWITCH_OFF,
     SWITCH_ON,
+    TEXT,
     WALL,
-    WALL_THICKNESS,
+    Colour,
 )
+from corridor_server.corridor.drawing import WALL_THICKNESS
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories
 
-Colour = tuple[int, int, int]
 Point = tuple[float, float]
 
 WIDTH = 640  # pixels
@@ -30,7 +32,6 @@ LINE = 34  # pixels for the line of numbers
 FINER = 2  # drawn this much larger, then reduced: smooth edges
 BETWEEN = 3  # MP4 frames a decision; a GIF has one
 HOLD_SECONDS = 1.5  # on the last frame
-TEXT: Colour = (30, 34, 39)
 
 
 def save_animations(trajectories: Trajectories, scene: dict[str, Any], gif: Path, mp4: Path) -> None:
@@ -105,8 +106,9 @@ class _Canvas:
 def _frames(episode: Episode, record: dict[str, Any], corridor: dict[str, Any], between: int) -> Iterator[Image.Image]:
     """Pictures of an episode, ``between`` of them for each decision; positions between two states are interpolated."""
     seen = episode.observations.astype(np.float64)
-    scale, opponents = corridor["half_length"], record["opponents"]
-    agents = [seen[:, 0:2] * scale, *(seen[:, 8 + 5 * k : 10 + 5 * k] * scale for k in range(opponents))]
+    scale = corridor["half_length"]
+    opponents = layout.opponent_blocks(seen)[..., layout.OPPONENT_POSITION].swapaxes(0, 1)
+    agents = [seen[:, layout.POSITION] * scale, *(opponents * scale)]
     floor = _background(record, corridor)
     total = 0.0
     for row in range(len(seen)):
@@ -134,12 +136,12 @@ def _background(record: dict[str, Any], corridor: dict[str, Any]) -> _Canvas:
 
 def _draw(canvas: _Canvas, state: NDArray[np.float64], paths: list[list[Point]], corridor: dict[str, Any]) -> None:
     if corridor["switch"]:
-        place, on = corridor["switch"], state[7] > 0.5
+        place, on = corridor["switch"], state[layout.SWITCH] > 0.5
         canvas.disc((place["x"], place["z"]), place["radius"], SWITCH_ON if on else SWITCH_OFF, 0.9 if on else 0.6)
         canvas.disc((place["x"], place["z"]), place["radius"], SWITCH_ON, 0.0, rim=2)
     near = corridor["near_distance"] * corridor["half_length"]
-    for k, path in enumerate(paths[1:]):
-        inside = state[10 + 5 * k] < corridor["near_distance"]
+    for path, opponent in zip(paths[1:], layout.opponent_blocks(state), strict=True):
+        inside = opponent[layout.OPPONENT_DISTANCE] < corridor["near_distance"]
         canvas.disc(path[-1], near, OPPONENT, 0.3 if inside else 0.1)
         canvas.path(path, OPPONENT)
         canvas.disc(path[-1], corridor["opponent_radius"], OPPONENT)
@@ -154,8 +156,9 @@ def _until(path: NDArray[np.float64], row: int, part: float) -> list[Point]:
 
 
 def _line(seconds: float, episode: Episode, row: int, total: float, outcome: str) -> str:
-    nearest = episode.observations[row, 10::5].min()
-    switch = "on" if episode.observations[row, 7] > 0.5 else "off"
+    state = episode.observations[row]
+    nearest = layout.opponent_blocks(state)[:, layout.OPPONENT_DISTANCE].min()
+    switch = "on" if state[layout.SWITCH] > 0.5 else "off"
     text = f"{seconds:5.1f} s     return {total:+.2f}     d_opp {nearest:.2f}     switch {switch}"
     if row == len(episode.rewards):
         end = {"goal": "target reached", "failed": "failed", "truncated": "cut by the step limit", "ended": "ended"}

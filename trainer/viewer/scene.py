@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.config import RunConfig
@@ -92,7 +93,7 @@ def choose(episodes: Sequence[Episode], count: int) -> list[int]:
 
 def closest_approach(episode: Episode) -> float:
     """Least d_opp after the start, in half-lengths, over all opponents."""
-    return float(episode.observations[1:, 10::5].min())
+    return float(layout.opponent_blocks(episode.observations[1:])[..., layout.OPPONENT_DISTANCE].min())
 
 
 def episode_record(
@@ -125,9 +126,9 @@ def episode_record(
         "outcome": outcome(episode),
         "return": float(episode.rewards.sum(dtype=np.float64)),
         "closest": closest_approach(episode),
-        "goal": [float(value) * corridor.half_length for value in observations[0, 4:6]],
+        "goal": [float(value) * corridor.half_length for value in observations[0, layout.GOAL]],
         "opponent_targets": None if targets is None else targets.tolist(),
-        "opponents": (observations.shape[1] - 8) // 5,
+        "opponents": layout.opponents(observations.shape[1]),
         "columns": list(columns),
         "data": base64.b64encode(zlib.compress(shuffled, 9)).decode("ascii"),
     }
@@ -142,13 +143,12 @@ def state_row(
 
 
 def _columns(observations: NDArray[Any], rewards: NDArray[Any], actions: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    columns = {
-        "p_x": observations[:, 0],
-        "p_z": observations[:, 1],
-        "switch": observations[:, 7],
-    }
-    for k in range((observations.shape[1] - 8) // 5):
-        columns |= {f"op{k}_{name}": observations[:, 8 + 5 * k + i] for i, name in enumerate(("x", "z", "d"))}
+    x, z = observations[:, layout.POSITION].T
+    columns = {"p_x": x, "p_z": z, "switch": observations[:, layout.SWITCH]}
+    blocks = layout.opponent_blocks(observations)
+    for k in range(blocks.shape[1]):
+        x, z = blocks[:, k, layout.OPPONENT_POSITION].T
+        columns |= {f"op{k}_x": x, f"op{k}_z": z, f"op{k}_d": blocks[:, k, layout.OPPONENT_DISTANCE]}
     return columns | {"reward": rewards, "a_x": actions[:, 0], "a_z": actions[:, 1]}
 
 
