@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from conftest import BIN
 
+from corridor_server.protocol.trainer_messages import initialization
 from trainer import conformance
-from trainer.conformance.raw_trainer import initialization
 from trainer.conformance.suite import agents
 
 

@@ -35,10 +35,9 @@ from rich.table import Table
 from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
-from corridor_server.protocol.messages import API_VERSION, EXCHANGE, RESET, SERVICE, UnityMessageProto
+from corridor_server.protocol.messages import API_VERSION, EXCHANGE, OK, RESET, SERVICE, STOP, UnityMessageProto
 from corridor_server.protocol.wire import BEHAVIOR
 from trainer.errors import TrainerError
-from trainer.players.communicator import OK, STOP
 from trainer.players.environment import BUILTIN, launch_path, open_environment, place
 
 AREAS = (1, 16, 64, 256, 1024, 4096)

@@ -2,7 +2,8 @@
 
 import time
 
-from trainer.conformance.raw_trainer import NothingReceived, command, initialization, step
+from corridor_server.protocol.trainer_messages import command, initialization, step
+from trainer.conformance.raw_trainer import NothingReceived
 from trainer.conformance.suite import Conformance, NotApplicable, Session, deciding
 
 PATIENCE_SECONDS = 10.0

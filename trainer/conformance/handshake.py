@@ -1,7 +1,7 @@
 """How a connection begins."""
 
-from corridor_server.protocol.messages import API_VERSION
-from trainer.conformance.raw_trainer import OK, initialization, stopping
+from corridor_server.protocol.messages import API_VERSION, OK
+from corridor_server.protocol.trainer_messages import initialization, stopping
 from trainer.conformance.suite import Conformance, agents
 
 MAJOR, MINOR, _ = API_VERSION.split(".")

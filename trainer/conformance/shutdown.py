@@ -2,7 +2,8 @@
 
 import signal
 
-from trainer.conformance.raw_trainer import OK, quitting, stopping
+from corridor_server.protocol.messages import OK
+from corridor_server.protocol.trainer_messages import quitting, stopping
 from trainer.conformance.suite import Conformance, NotApplicable
 
 

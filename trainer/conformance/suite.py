@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from trainer.conformance.raw_trainer import RawTrainer, step
+from corridor_server.protocol.trainer_messages import step
+from trainer.conformance.raw_trainer import RawTrainer
 
 EXIT_SECONDS = 15.0
 
