@@ -5,9 +5,8 @@ import time
 
 import grpc
 
-from corridor_server.protocol.messages import API_VERSION, EXCHANGE
+from corridor_server.protocol.messages import API_VERSION, EXCHANGE, MAX_MESSAGE_BYTES
 
-MAX_MESSAGE_BYTES = 256 * 2**20
 PARENT_SECONDS = 0.5
 _OPTIONS = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),

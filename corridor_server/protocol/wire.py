@@ -15,10 +15,18 @@ from numpy.typing import NDArray
 from corridor_server.corridor.areas import Agents, Batch
 from corridor_server.corridor.world import ACTION_SIZE
 from corridor_server.protocol import columnar
-from corridor_server.protocol.messages import API_VERSION, QUIT, RESET, STEP, AgentInfoProto, UnityMessageProto
+from corridor_server.protocol.messages import (
+    API_VERSION,
+    OK,
+    QUIT,
+    RESET,
+    STEP,
+    STOP,
+    AgentInfoProto,
+    UnityMessageProto,
+)
 
 BEHAVIOR = "Corridor?team=0"
-OK, STOP = 200, 400
 CONTINUOUS = 1  # SpaceTypeProto
 # DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are.
 NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE = 1, 2

@@ -1,23 +1,54 @@
 """``corridor bench`` writes the figures that it promises; how high they are is not a test's business."""
 
+import ast
+import importlib.util
 import json
+import sys
 
 import pytest
 from rich.console import Console
 
-from trainer.bench import measure as bench
+from trainer.bench.measure import run_bench
+from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
+from trainer.bench.workload import Workload
+from trainer.errors import TrainerError
+
+SMALL = Workload(
+    areas=(1, 8),
+    rounds=1,
+    seconds=0.05,
+    train_steps={"fast": 4000, "paper": 300},
+    players=((1, 8), (2, 4)),
+    memory_steps={"1e6": 2000, "1e7": 4000},
+)
+
+
+@pytest.mark.parametrize("program", [CLIENT_PROGRAM, ECHO_PROGRAM], ids=lambda path: path.stem)
+def test_a_program_runs_where_only_unitys_client_is_installed(program):
+    """On Python 3.10, where nothing of ours has to be there."""
+    tree = ast.parse(program.read_text(), feature_version=(3, 10))
+    names = {each.name for node in ast.walk(tree) if isinstance(node, ast.Import) for each in node.names}
+    names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    roots = {name.partition(".")[0] for name in names}
+    assert roots - set(sys.stdlib_module_names) <= {"numpy", "grpc", "mlagents_envs", "trainer"}
+
+
+def test_no_file_beside_the_programs_hides_a_module_from_them():
+    """Python puts their folder first on its path."""
+    beside = {path.stem for path in CLIENT_PROGRAM.parent.glob("*.py")} - {"__init__"}
+    assert {"client_program", "echo_program"} < beside
+    assert [name for name in beside if importlib.util.find_spec(name) is not None] == []
+
+
+def test_a_program_that_ends_at_once_is_named():
+    with pytest.raises(TrainerError, match="echo_program.py nonsense ended before it measured anything; run it by"):
+        MeasuringProcess(ECHO_PROGRAM, "nonsense")
 
 
 @pytest.mark.slow
-def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
-    monkeypatch.setattr(bench, "AREAS", (1, 8))
-    monkeypatch.setattr(bench, "ROUNDS", 1)
-    monkeypatch.setattr(bench, "SECONDS", 0.05)
-    monkeypatch.setattr(bench, "TRAIN_STEPS", {"fast": 4000, "paper": 300})
-    monkeypatch.setattr(bench, "PLAYERS", ((1, 8), (2, 4)))
-    monkeypatch.setattr(bench, "MEMORY_STEPS", {"1e6": 2000, "1e7": 4000})
+def test_every_figure_is_there(tmp_path, free_port):
     console = Console(record=True, width=160)
-    bench.run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console)
+    run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console, SMALL)
     report = json.loads((tmp_path / "speed.json").read_text())
     assert [row["areas"] for row in report["exchange"]] == [1, 8]
     for row in report["exchange"]:

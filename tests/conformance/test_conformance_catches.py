@@ -1,5 +1,10 @@
-"""The kit's own test: players with one fault each, and the sentence that must fail."""
+"""The kit's own test: players with one fault each, and the sentence that must fail.
 
+Verdicts are ``pytest.fail``'s: all of this holds under ``python -O`` too, which strips ``assert``.
+"""
+
+import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +14,7 @@ from conftest import BIN
 
 from trainer import conformance
 from trainer.conformance.checker import Result, check, sentences
+from trainer.conformance.suite import NotAsExpected, expect, expect_equal
 
 PLAYER = """#!{python}
 import sys
@@ -127,7 +133,8 @@ areas.Areas.reset = reset_showing_the_past
 
 def failures(topic: type[conformance.Conformance], name: str, player: Path) -> list[Result]:
     """Runs one sentence of a topic on a player."""
-    assert f"test_{name}" in sentences(topic)
+    if f"test_{name}" not in sentences(topic):
+        pytest.fail(f"{topic.__name__} has no sentence {name}")
     others = {other: None for other in sentences(topic) if other != f"test_{name}"}
     only = type(topic.__name__, (topic,), {**others, "__doc__": topic.__doc__})
     results: list[Result] = []
@@ -136,7 +143,8 @@ def failures(topic: type[conformance.Conformance], name: str, player: Path) -> l
         return subprocess.Popen([str(player), "--mlagents-port", str(port), *arguments])
 
     check([only], start, results.append)
-    assert len(results) == 1
+    if len(results) != 1:
+        pytest.fail(f"{len(results)} sentences were checked")
     return [result for result in results if result.verdict == "fail"]
 
 
@@ -151,28 +159,62 @@ def write_player(folder: Path, fault: str) -> Path:
 def test_a_player_with_one_fault_fails_its_sentence(fault, tmp_path):
     topic, name, code = FAULTS[fault]
     found = failures(topic, name, write_player(tmp_path, code))
-    assert found, f"{fault}: nothing failed"
-    assert found[0].detail
+    if not found:
+        pytest.fail(f"{fault}: nothing failed")
+    if not found[0].detail:
+        pytest.fail(f"{fault}: not a word about what was seen")
+
+
+def test_a_broken_player_is_caught_under_python_without_asserts():
+    this = f"{__file__}::test_a_player_with_one_fault_fails_its_sentence[wrong shape]"
+    command = [sys.executable, "-O", "-m", "pytest", "-q", "-p", "no:cacheprovider", this]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    if run.returncode or "1 passed" not in run.stdout:
+        pytest.fail(run.stdout)
+
+
+def test_no_bare_assert_is_left_in_the_kit():
+    modules = sorted(Path(conformance.__file__).parent.glob("*.py"))
+    found = [
+        f"{path.name}:{node.lineno}"
+        for path in modules
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Assert)
+    ]
+    if len(modules) < 10 or found:
+        pytest.fail(f"asserts in {len(modules)} modules: {found}")
+
+
+def test_a_failure_says_what_came_and_what_was_expected():
+    with pytest.raises(NotAsExpected, match="^no agents; at least one was expected$"):
+        expect([], "no agents", "at least one")
+    with pytest.raises(NotAsExpected, match="^exit code 1; 0 was expected$"):
+        expect_equal(1, 0, "exit code")
+    expect([1], "no agents", "at least one")
+    expect_equal(0, 0, "exit code")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["wrong shape"])
 def test_corridor_check_prints_a_table_and_fails(fault, tmp_path):
     player = write_player(tmp_path, FAULTS[fault][2])
-    run = subprocess.run([BIN / "corridor", "check", "--env", player], capture_output=True, text=True, timeout=300)
-    assert run.returncode == 1, run.stdout
-    assert "fail" in run.stdout
-    assert "shape [14] with 13 values" in " ".join(run.stdout.replace("│", " ").split())
+    command = [BIN / "corridor", "check", "--env", player]
+    stripped = {**os.environ, "PYTHONOPTIMIZE": "1", "COLUMNS": "180"}  # without asserts, and each row on one line
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=stripped)
+    if run.returncode != 1 or "fail" not in run.stdout:
+        pytest.fail(run.stdout)
+    if "shape [14] with 13 values; 14 was expected" not in run.stdout:
+        pytest.fail(run.stdout)
 
 
 def test_corridor_check_of_nothing_says_so(tmp_path):
     run = subprocess.run([BIN / "corridor", "check", "--env", tmp_path / "none"], capture_output=True, text=True)
-    assert run.returncode == 1
-    assert "There is no player" in run.stderr
+    if run.returncode != 1 or "There is no player" not in run.stderr:
+        pytest.fail(run.stderr)
 
 
 def test_corridor_check_of_a_program_that_is_no_player_says_so():
     arguments = ["check", "--env", "/bin/true", "--timeout-wait", "1"]
     run = subprocess.run([BIN / "corridor", *arguments], capture_output=True, text=True)
-    assert run.returncode == 1
-    assert "The player does not play: the player sent nothing for 1 s" in run.stderr
+    if run.returncode != 1 or "The player does not play: the player sent nothing for 1 s" not in run.stderr:
+        pytest.fail(run.stderr)

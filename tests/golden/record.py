@@ -14,8 +14,9 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player
 from corridor_server.protocol.messages import QUIT, RESET
 from corridor_server.protocol.side_channels import ENVIRONMENT_PARAMETERS, message
+from corridor_server.protocol.trainer_messages import command, initialization, step
 from trainer.conformance.channels import environment_parameter
-from trainer.conformance.raw_trainer import RawTrainer, command, initialization, step
+from trainer.conformance.raw_trainer import RawTrainer
 
 RECORD = Path(__file__).with_name("conversation.txt")
 BEHAVIOR = "Corridor?team=0"

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as arrays
 
 from corridor_server.protocol import columnar
 from corridor_server.protocol.messages import AgentInfoProto, UnityMessageProto
-from trainer.conformance.raw_trainer import command, step
+from corridor_server.protocol.trainer_messages import command, step
 
 BEHAVIOR, NAME = "Corridor?team=0", "VectorSensor_size13"
 FLOATS = st.floats(width=32)

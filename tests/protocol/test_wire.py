@@ -17,8 +17,8 @@ from PIL import Image
 from corridor_server.corridor.areas import Agents, Batch
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.messages import STEP, UnityMessageProto
+from corridor_server.protocol.trainer_messages import step
 from trainer.conformance.channels import environment_parameter
-from trainer.conformance.raw_trainer import step
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "golden"))
 from record import RECORD, converse, replies

@@ -8,8 +8,9 @@ import pytest
 from conftest import BIN
 
 from corridor_server.protocol.messages import QUIT, UnityMessageProto
+from corridor_server.protocol.trainer_messages import command, initialization, step, stopping
 from trainer.conformance.channels import environment_parameter
-from trainer.conformance.raw_trainer import RawTrainer, command, initialization, step, stopping
+from trainer.conformance.raw_trainer import RawTrainer
 
 BEHAVIOR = "Corridor?team=0"
 ONE = {BEHAVIOR: [[0.1, 0.2]]}

@@ -1,6 +1,6 @@
 """What a player does with the trainer's actions."""
 
-from trainer.conformance.suite import Conformance, NotApplicable, agents
+from trainer.conformance.suite import Conformance, NotApplicable, agents, expect
 
 
 class Actions(Conformance):
@@ -13,7 +13,7 @@ class Actions(Conformance):
                 for _ in range(10):
                     session.step(0.7, deprecated=deprecated)
                 seen.append([str(info.observations) for info in agents(session.output)])
-        assert seen[0] == seen[1], "the agents are elsewhere"
+        expect(seen[0] == seen[1], "the agents are elsewhere", "the same place")
 
     def test_actions_beyond_1_act_like_1(self) -> None:
         seen = []
@@ -22,7 +22,7 @@ class Actions(Conformance):
                 for _ in range(10):
                     session.step(action)
                 seen.append([str(info.observations) for info in agents(session.output)])
-        assert seen[0] == seen[1], "the agents are elsewhere"
+        expect(seen[0] == seen[1], "the agents are elsewhere", "the same place")
 
     def test_actions_make_a_difference(self) -> None:
         seen = []
@@ -39,5 +39,4 @@ class Actions(Conformance):
             with self.playing() as session:
                 session.step(0.5)
                 session.trainer.reply(session.message(action))
-                code = session.exit_code()
-                assert code != 0, "the player ended with code 0"
+                expect(session.exit_code() != 0, "the player ended with code 0", "another one")

@@ -2,8 +2,9 @@
 
 import time
 
-from trainer.conformance.raw_trainer import NothingReceived, command, initialization, step
-from trainer.conformance.suite import Conformance, NotApplicable, Session, deciding
+from corridor_server.protocol.trainer_messages import command, initialization, step
+from trainer.conformance.raw_trainer import NothingReceived
+from trainer.conformance.suite import Conformance, NotApplicable, NotAsExpected, Session, deciding
 
 PATIENCE_SECONDS = 10.0
 
@@ -24,7 +25,7 @@ class BadPeers(Conformance):
             return
         if session.process is None:
             raise NotApplicable("the player sends nothing more, and its process can't be seen")
-        raise AssertionError(f"the player neither answers nor ends for {PATIENCE_SECONDS:g} s")
+        raise NotAsExpected(f"the player neither answers nor ends for {PATIENCE_SECONDS:g} s")
 
     def test_bytes_that_are_no_message(self) -> None:
         with self.playing() as session:

@@ -4,7 +4,7 @@ import struct
 import uuid
 
 from corridor_server.protocol import side_channels as channels
-from trainer.conformance.suite import Conformance, agents, until_an_episode_ends
+from trainer.conformance.suite import Conformance, agents, expect, expect_equal, until_an_episode_ends
 
 
 def environment_parameter(name: str, value: float) -> bytes:
@@ -20,7 +20,7 @@ class SideChannels(Conformance):
     def _is_accepted(self, buffer: bytes) -> None:
         with self.playing() as session:
             session.step(0.1, side_channel=buffer)
-            assert agents(session.output), "no agents"
+            expect(agents(session.output), "no agents", "at least one")
 
     def test_engine_settings_are_accepted(self) -> None:
         settings = [struct.pack("<3i", 0, 80, 60), struct.pack("<2i", 1, 1), struct.pack("<if", 2, 20.0)]
@@ -50,4 +50,4 @@ class SideChannels(Conformance):
             for channel, payload in channels.split(session.output.rl_output.side_channel):
                 if channel == channels.STATISTICS:
                     key_length = struct.unpack_from("<i", payload)[0]
-                    assert len(payload) == 4 + key_length + 8, f"a statistic has {len(payload)} bytes"
+                    expect_equal(len(payload), 4 + key_length + 8, "a statistic's size in bytes is")

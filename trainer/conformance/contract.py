@@ -17,6 +17,8 @@ from trainer.conformance.suite import (
     agents,
     deciding,
     ended,
+    expect,
+    expect_equal,
     until_an_episode_ends,
     vector,
 )
@@ -38,21 +40,23 @@ class CorridorContract(Conformance):
 
     def test_the_behavior_is_corridor_team_0_with_two_continuous_actions(self) -> None:
         with self.playing() as session:
-            assert list(session.specs) == [BEHAVIOR], f"behaviors {list(session.specs)}"
+            expect_equal(list(session.specs), [BEHAVIOR], "behaviors")
             spec = session.specs[BEHAVIOR].action_spec
             sizes = (spec.num_continuous_actions, spec.num_discrete_actions)
-            assert sizes == (2, 0), f"{sizes[0]} continuous actions and {sizes[1]} discrete branches"
+            came = f"{sizes[0]} continuous actions and {sizes[1]} discrete branches"
+            expect(sizes == (2, 0), came, "2 and 0")
 
     def test_every_area_has_one_agent_that_decides_in_step(self) -> None:
         with self.playing(num_areas=3) as session:
             for _ in range(20):
-                assert len(deciding(session.output)) == 3, f"{len(deciding(session.output))} of 3 agents decide"
+                count = len(deciding(session.output))
+                expect(count == 3, f"{count} of 3 agents decide", "a decision of each")
                 session.step(0.1)
 
     def test_the_vector_observation_has_8_plus_5_k_floats(self) -> None:
         with self.playing() as session:
             size = len(vector(self._first(session)))
-            assert layout.is_size(size), f"{size} floats"
+            expect(layout.is_size(size), f"{size} floats", "8 + 5K with K of at least 1")
 
     def test_an_episode_begins_at_rest_with_the_switch_off_inside_the_corridor(self) -> None:
         with self.playing(num_areas=8) as session:
@@ -76,8 +80,8 @@ class CorridorContract(Conformance):
                     position, d_g = seen[layout.POSITION], seen[layout.GOAL_DISTANCE]
                     p_op, d_op = _opponent(seen)[layout.OPPONENT_POSITION], _opponent(seen)[layout.OPPONENT_DISTANCE]
                     goal, opponent = np.hypot(*(seen[layout.GOAL] - position)), np.hypot(*(p_op - position))
-                    assert abs(goal - d_g) < 1e-3, f"d_g is {d_g:g}, positions say {goal:g}"
-                    assert abs(opponent - d_op) < 1e-3, f"d_op is {d_op:g}, positions say {opponent:g}"
+                    expect(abs(goal - d_g) < 1e-3, f"d_g is {d_g:g}", f"the positions' {goal:g}")
+                    expect(abs(opponent - d_op) < 1e-3, f"d_op is {d_op:g}", f"the positions' {opponent:g}")
                 session.step_randomly(generator)
 
     def test_action_0_moves_along_x_and_action_1_along_z(self) -> None:
@@ -86,15 +90,15 @@ class CorridorContract(Conformance):
                 for _ in range(5):
                     session.act({BEHAVIOR: [action]})
                 velocity = vector(self._first(session))[layout.VELOCITY]
-                assert velocity[axis] > 0.01, f"action {action} gives velocity {velocity}"
-                assert abs(velocity[1 - axis]) < 0.01, f"action {action} gives velocity {velocity}"
+                good = velocity[axis] > 0.01 and abs(velocity[1 - axis]) < 0.01
+                expect(good, f"action {action} gives velocity {velocity}", f"one along +{'xz'[axis]} alone")
 
     def test_each_action_reaches_the_agent_that_asked_in_that_place(self) -> None:
         with self.playing(num_areas=4) as session:
             for _ in range(3):
                 session.act({BEHAVIOR: [[1.0 if place % 2 else -1.0, 0.0] for place in range(4)]})
             signs = [vector(info)[layout.VELOCITY][0] > 0 for info in deciding(session.output)]
-            assert signs == [False, True, False, True], f"agents went +x: {signs}"
+            expect_equal(signs, [False, True, False, True], "agents went +x:")
 
     def test_velocity_is_the_change_of_position(self) -> None:
         with self.playing(seed=2) as session:
@@ -106,7 +110,8 @@ class CorridorContract(Conformance):
                 moved = after[layout.OPPONENT_POSITION] - before[layout.OPPONENT_POSITION]
                 opponent_moves.append(np.abs(moved / 0.1 - after[layout.OPPONENT_VELOCITY]).max())
                 before = after
-            assert min(opponent_moves) < 0.01, "V_op is not (change of p_op) / 0.1 s"
+            least = min(opponent_moves)
+            expect(least < 0.01, f"V_op is off (change of p_op) / 0.1 s by {least:g}", "no difference")
 
     def test_the_opponent_goes_straight(self) -> None:
         with self.playing(seed=2) as session:
@@ -114,14 +119,15 @@ class CorridorContract(Conformance):
             for _ in range(15):
                 session.step(0.0)
                 headings.append(_opponent(vector(self._first(session)))[layout.OPPONENT_VELOCITY])
-            assert np.ptp(headings, axis=0).max() < 0.01, "V_op changes on the way"
+            change = np.ptp(headings, axis=0).max()
+            expect(change < 0.01, f"V_op changes on the way by {change:g}", "no change")
 
     def test_a_step_far_from_everything_costs_a_thousandth(self) -> None:
         with self.playing(seed=1) as session:
             for number in range(5):
                 session.step(0.0)
                 reward = self._first(session).reward
-                assert abs(reward + 0.001) < 1e-6, f"reward {reward:g} at step {number + 1}"
+                expect(abs(reward + 0.001) < 1e-6, f"reward {reward:g} at step {number + 1}", "-0.001")
 
     def test_pushing_into_a_wall_costs_a_tenth(self) -> None:
         with self.playing(seed=1) as session:
@@ -131,7 +137,8 @@ class CorridorContract(Conformance):
                 if ended(session.output):
                     break
                 rewards.append(self._first(session).reward)
-            assert any(abs(reward + 0.1) < 1e-6 for reward in rewards), f"rewards {sorted(set(rewards))}"
+            walls = [reward for reward in rewards if abs(reward + 0.1) < 1e-6]
+            expect(walls, f"rewards {sorted(set(rewards))}", "at least one of -0.1")
 
     def test_rewards_are_those_of_the_table(self) -> None:
         """While it runs, an episode's rewards are -0.001, -0.1, -0.25 or the near zone's."""
@@ -145,7 +152,8 @@ class CorridorContract(Conformance):
                         continue
                     near = -0.1 - (1.0 - _opponent(vector(info))[layout.OPPONENT_DISTANCE]) / 4.0
                     table = (-0.001, -0.1, -0.25, near)
-                    assert min(abs(info.reward - each) for each in table) < 1e-4, f"reward {info.reward:g}"
+                    known = min(abs(info.reward - each) for each in table) < 1e-4
+                    expect(known, f"reward {info.reward:g}", f"one of {', '.join(f'{each:g}' for each in table)}")
 
     def test_a_failed_episode_pays_the_penalty_with_its_last_reward(self) -> None:
         with self.playing(num_areas=4) as session:
@@ -154,18 +162,19 @@ class CorridorContract(Conformance):
                 if info.max_step_reached:
                     raise NotApplicable("the episode was interrupted")
                 good = abs(info.reward - 1.0) < 1e-4 or info.reward <= -1.0
-                assert good, f"the last reward is {info.reward:g}; +1, or -1 and the step's own, was expected"
+                expect(good, f"the last reward is {info.reward:g}", "+1, or -1 and the step's own,")
 
     def test_the_failure_penalty_can_be_switched_off_over_the_side_channel(self) -> None:
         with self.playing(num_areas=4, side_channel=environment_parameter("failure_penalty", 0.0)) as session:
             until_an_episode_ends(session)
             for info in ended(session.output):
-                assert info.reward > -0.5, f"the last reward is {info.reward:g}"
+                expect(info.reward > -0.5, f"the last reward is {info.reward:g}", "one without the penalty")
 
     def test_a_parameter_takes_effect_at_the_next_reset(self) -> None:
         with self.playing(side_channel=environment_parameter("goal_x", 5.0)) as session:
             goal = vector(self._first(session))[layout.GOAL][0]
-            assert abs(goal - 5.0 / DEFAULT.half_length) < 1e-3, f"p_g is at {goal:g}"
+            asked = 5.0 / DEFAULT.half_length
+            expect(abs(goal - asked) < 1e-3, f"p_g is at {goal:g}", f"{asked:g}")
 
     def test_statistics_come_with_every_ended_episode(self) -> None:
         with self.playing(num_areas=4) as session:
@@ -176,15 +185,15 @@ class CorridorContract(Conformance):
                 if channel == channels.STATISTICS
             ]
             for name in STATISTICS:
-                count = keys.count(name)
-                assert count == len(ended(session.output)), f"{name}: {count} for {len(ended(session.output))} ends"
+                count, ends = keys.count(name), len(ended(session.output))
+                expect(count == ends, f"{name}: {count} for {ends} ends", "one for each")
 
     def test_other_seeds_and_areas_begin_elsewhere(self) -> None:
         starts = set()
         for seed in (1, 2):
             with self.playing(seed=seed, num_areas=2) as session:
                 starts |= {tuple(vector(info)) for info in agents(session.output)}
-        assert len(starts) == 4, f"{len(starts)} different starts of 4"
+        expect(len(starts) == 4, f"{len(starts)} different starts of 4", "another one for each")
 
     @staticmethod
     def _first(session: Session) -> Any:
@@ -193,14 +202,15 @@ class CorridorContract(Conformance):
     @staticmethod
     def _is_a_start(seen: list[float]) -> None:
         (x, z), velocity, switch = seen[layout.POSITION], seen[layout.VELOCITY], seen[layout.SWITCH]
-        assert velocity == [0.0, 0.0], f"velocity {velocity} at the start"
-        assert switch == 0.0, f"sw_ind is {switch:g} at the start"
+        expect_equal(velocity, [0.0, 0.0], "at the start, the velocity is")
+        expect_equal(switch, 0.0, "at the start, sw_ind is")
         spawn = [edge / DEFAULT.half_length for edge in DEFAULT.agent_spawn_x]
-        assert spawn[0] - 1e-6 <= x <= spawn[1] + 1e-6, f"x = {x:g} is out of [{spawn[0]}, {spawn[1]}]"
+        inside = spawn[0] - 1e-6 <= x <= spawn[1] + 1e-6
+        expect(inside, f"x = {x:g} at the start", f"one in [{spawn[0]}, {spawn[1]}]")
         side = DEFAULT.spawn_z / DEFAULT.half_length + 1e-6
-        assert abs(z) <= side, f"z = {z:g} is out of +-{side:g}"
-        goal_x = seen[layout.GOAL][0]
-        assert abs(goal_x - DEFAULT.goal_x / DEFAULT.half_length) < 1e-6, f"the target's x is {goal_x:g}"
+        expect(abs(z) <= side, f"z = {z:g} at the start", f"one in +-{side:g}")
+        goal_x, expected_x = seen[layout.GOAL][0], DEFAULT.goal_x / DEFAULT.half_length
+        expect(abs(goal_x - expected_x) < 1e-6, f"the target's x is {goal_x:g}", f"{expected_x:g}")
 
 
 def _opponent(seen: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,9 +8,8 @@ from typing import Any
 
 import grpc
 
-from corridor_server.protocol.messages import API_VERSION, QUIT, RESET, SERVICE, STEP, UnityMessageProto
-
-OK, STOP = 200, 400
+from corridor_server.protocol.messages import API_VERSION, RESET, SERVICE, UnityMessageProto
+from corridor_server.protocol.trainer_messages import command, initialization, step
 
 
 class NothingReceived(AssertionError):
@@ -99,50 +98,3 @@ class RawTrainer:
     def step(self, actions: Mapping[str, Sequence[Sequence[float]]], side_channel: bytes = b"") -> Any:
         """Sends STEP with continuous actions by behavior; returns the player's output."""
         return self.ask(step(actions, side_channel)).unity_output
-
-
-def initialization(seed: int = 0, num_areas: int = 1, version: str = API_VERSION, package: str = "0.28.0") -> Any:
-    """The trainer's answer to a player's first message."""
-    message = UnityMessageProto()
-    message.header.status = OK
-    parameters = message.unity_input.rl_initialization_input
-    parameters.seed = seed
-    parameters.num_areas = num_areas
-    parameters.communication_version = version
-    parameters.package_version = package
-    capabilities = parameters.capabilities
-    for name in capabilities.DESCRIPTOR.fields_by_name:
-        setattr(capabilities, name, True)
-    return message
-
-
-def command(number: int, side_channel: bytes = b"") -> Any:
-    """A command without actions."""
-    message = UnityMessageProto()
-    message.header.status = OK
-    message.unity_input.rl_input.command = number
-    message.unity_input.rl_input.side_channel = side_channel
-    return message
-
-
-def step(actions: Mapping[str, Sequence[Sequence[float]]], side_channel: bytes = b"", deprecated: bool = False) -> Any:
-    """STEP with continuous actions by behavior, in the new field or in the one that trainers before 1.3 fill."""
-    message = command(STEP, side_channel)
-    for behavior, rows in actions.items():
-        value = message.unity_input.rl_input.agent_actions[behavior].value
-        for row in rows:
-            action = value.add()
-            (action.vector_actions_deprecated if deprecated else action.continuous_actions).extend(row)
-    return message
-
-
-def quitting() -> Any:
-    """The QUIT command."""
-    return command(QUIT)
-
-
-def stopping(status: int = STOP) -> Any:
-    """A message with a status that ends the session."""
-    message = UnityMessageProto()
-    message.header.status = status
-    return message

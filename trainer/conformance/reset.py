@@ -1,6 +1,6 @@
 """RESET, whenever it comes."""
 
-from trainer.conformance.suite import Conformance, agents, deciding, ended
+from trainer.conformance.suite import Conformance, agents, deciding, ended, expect, expect_equal
 
 
 class Reset(Conformance):
@@ -12,25 +12,26 @@ class Reset(Conformance):
             for _ in range(5):
                 session.step(0.5)
             session.reset()
-            assert not ended(session.output), f"{len(ended(session.output))} agents ended"
-            assert len(deciding(session.output)) == everyone, f"{len(deciding(session.output))} agents of {everyone}"
-            assert all(info.reward == 0.0 for info in deciding(session.output)), "rewards from before the reset"
+            expect(not ended(session.output), f"{len(ended(session.output))} agents ended", "none")
+            expect_equal(len(deciding(session.output)), everyone, "the number of deciding agents is")
+            rewards = [info.reward for info in deciding(session.output)]
+            expect(not any(rewards), f"rewards {rewards}, from before the reset", "0")
 
     def test_a_hundred_resets_in_a_row_are_answered(self) -> None:
         with self.playing() as session:
             everyone = len(deciding(session.output))
             for _ in range(100):
                 session.reset()
-                assert len(deciding(session.output)) == everyone, "agents are missing"
+                expect_equal(len(deciding(session.output)), everyone, "the number of deciding agents is")
 
     def test_the_game_goes_on_after_a_reset(self) -> None:
         with self.playing() as session:
             session.reset()
             session.step(0.5)
-            assert agents(session.output), "no agents"
+            expect(agents(session.output), "no agents", "at least one")
 
     def test_a_step_before_the_first_reset_is_answered_with_agents(self) -> None:
         with self.connected() as session:
             session.trainer.handshake()
             session.step()
-            assert deciding(session.output), "no agents"
+            expect(deciding(session.output), "no agents", "at least one")

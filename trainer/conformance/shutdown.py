@@ -2,8 +2,9 @@
 
 import signal
 
-from trainer.conformance.raw_trainer import OK, quitting, stopping
-from trainer.conformance.suite import Conformance, NotApplicable
+from corridor_server.protocol.messages import OK
+from corridor_server.protocol.trainer_messages import quitting, stopping
+from trainer.conformance.suite import Conformance, NotApplicable, expect, expect_equal
 
 
 class Shutdown(Conformance):
@@ -13,30 +14,30 @@ class Shutdown(Conformance):
         with self.playing() as session:
             session.step(0.1)
             session.trainer.reply(quitting())
-            assert session.exit_code() == 0, f"exit code {session.exit_code()}"
+            expect_equal(session.exit_code(), 0, "exit code")
 
     def test_quit_as_the_first_command_ends_the_player_with_code_0(self) -> None:
         with self.connected() as session:
             session.trainer.handshake()
             session.trainer.reply(quitting())
-            assert session.exit_code() == 0, f"exit code {session.exit_code()}"
+            expect_equal(session.exit_code(), 0, "exit code")
 
     def test_any_status_other_than_200_ends_the_player_with_code_0(self) -> None:
         for status in (400, 0, 500):
             with self.playing() as session:
                 session.trainer.reply(stopping(status))
-                assert session.exit_code() == 0, f"status {status}: exit code {session.exit_code()}"
+                expect_equal(session.exit_code(), 0, f"status {status}: exit code")
 
     def test_a_broken_connection_ends_the_player_with_another_code(self) -> None:
         with self.playing() as session:
             session.trainer.cut()
-            assert session.exit_code() != 0, "exit code 0"
+            expect(session.exit_code() != 0, "exit code 0", "another one")
 
     def test_a_connection_broken_in_the_handshake_ends_the_player_with_another_code(self) -> None:
         with self.connected() as session:
             session.trainer.receive()
             session.trainer.cut()
-            assert session.exit_code() != 0, "exit code 0"
+            expect(session.exit_code() != 0, "exit code 0", "another one")
 
     def test_a_player_that_stops_by_itself_says_so_with_another_status(self) -> None:
         with self.playing() as session:
@@ -44,6 +45,6 @@ class Shutdown(Conformance):
                 raise NotApplicable("the player was not started here, so it can't be asked to stop")
             session.process.send_signal(signal.SIGTERM)
             farewell = session.trainer.receive()
-            assert farewell.header.status != OK, "a message with status 200"
+            expect(farewell.header.status != OK, "a message with status 200", "another one")
             session.trainer.reply(stopping())
             session.exit_code()

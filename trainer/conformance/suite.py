@@ -11,13 +11,47 @@ from typing import Any
 
 import numpy as np
 
-from trainer.conformance.raw_trainer import RawTrainer, step
+from corridor_server.protocol.trainer_messages import step
+from trainer.conformance.raw_trainer import RawTrainer
 
 EXIT_SECONDS = 15.0
 
 
 class NotApplicable(unittest.SkipTest):
     """The player has no such feature, so the sentence says nothing about it. pytest and unittest show it as skipped."""
+
+
+class NotAsExpected(AssertionError):
+    """The sentence does not hold for the player. pytest and unittest show it as a failure."""
+
+
+def expect(holds: object, came: str, expected: str) -> None:
+    """Fails unless the condition holds; unlike ``assert``, under ``python -O`` too.
+
+    Args:
+        holds: The condition.
+        came: What the player did.
+        expected: What it should have done, as a singular: "... was expected" follows.
+
+    Raises:
+        NotAsExpected: It does not hold.
+    """
+    if not holds:
+        raise NotAsExpected(f"{came}; {expected} was expected")
+
+
+def expect_equal(came: object, expected: object, what: str) -> None:
+    """Fails unless two values are equal.
+
+    Args:
+        came: The player's.
+        expected: The one to compare with.
+        what: What they are, to stand before the value.
+
+    Raises:
+        NotAsExpected: They differ.
+    """
+    expect(came == expected, f"{what} {came}", str(expected))
 
 
 @dataclass
@@ -66,7 +100,7 @@ class Session:
         """Waits for the player to end.
 
         Raises:
-            AssertionError: It does not.
+            NotAsExpected: It does not.
             NotApplicable: It was not started here.
         """
         if self.process is None:
@@ -74,7 +108,7 @@ class Session:
         try:
             return self.process.wait(EXIT_SECONDS)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"the player still runs after {EXIT_SECONDS:g} s") from None
+            raise NotAsExpected(f"the player still runs after {EXIT_SECONDS:g} s") from None
 
     def _take(self, output: Any) -> Any:
         for parameters in output.rl_initialization_output.brain_parameters:

@@ -26,14 +26,13 @@ from mlagents_envs.exception import (
 )
 
 from corridor_server.protocol.columnar import HEADER_OK
-from corridor_server.protocol.messages import SERVICE, UnityMessageProto
+from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto
+from corridor_server.protocol.trainer_messages import stopping, trainer_message
 from trainer.signals import deferred
 
-OK, STOP = 200, 400
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
 POLL_SECONDS = 0.2
 EXIT_SECONDS = 2.0
-MAX_MESSAGE_BYTES = 256 * 2**20
 
 PollCallback = Callable[[], None]
 
@@ -132,9 +131,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         """Tells the player to stop and closes the port."""
         if self._server is None:
             return
-        message = UnityMessageProto()
-        message.header.status = STOP
-        stop = message.SerializeToString()
+        stop = stopping().SerializeToString()
         for _ in range(HANDLERS):
             self._replies.put(stop)
         self._server.stop(grace=1.0).wait()
@@ -205,10 +202,7 @@ class _DaemonPool(Executor):
 
 def serialise(inputs: Any) -> bytes:
     """The message (a serialised UnityMessageProto) around a UnityInputProto."""
-    message = UnityMessageProto()
-    message.header.status = OK
-    message.unity_input.CopyFrom(inputs)
-    data: bytes = message.SerializeToString()
+    data: bytes = trainer_message(inputs).SerializeToString()
     return data
 
 

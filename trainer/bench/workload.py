@@ -1,0 +1,30 @@
+"""How much ``corridor bench`` measures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Workload:
+    """How much is measured, and on what.
+
+    Attributes:
+        areas: In one player, for each row of the exchange's table.
+        rounds: How often each rate is measured; the median counts.
+        seconds: How long each measurement of a rate lasts.
+        train_steps: Agent steps of a training run, by preset.
+        players: Pairs of players and areas in each, as many areas in all of them.
+        memory_areas: In the player whose memory is measured.
+        memory_steps: Agent steps after which memory is measured, by the name that the report gives them.
+    """
+
+    areas: tuple[int, ...] = (1, 16, 64, 256, 1024, 4096)
+    rounds: int = 5
+    seconds: float = 0.6
+    train_steps: Mapping[str, int] = field(default_factory=lambda: {"fast": 400_000, "paper": 20_000})
+    players: tuple[tuple[int, int], ...] = ((1, 256), (4, 64))
+    memory_areas: int = 1024
+    memory_steps: Mapping[str, int] = field(default_factory=lambda: {"1e6": 10**6, "1e7": 10**7})
+
+
+FULL = Workload()
