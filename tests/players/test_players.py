@@ -17,9 +17,10 @@ from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityTime
 from scripted import spec
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
+from trainer.commands.shared_options import TrainingOptions
+from trainer.commands.train import Train
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
-from trainer.main import Train
 from trainer.players.area_state import PlayerState
 from trainer.players.environment import open_environment
 from trainer.players.settings import channels
@@ -219,7 +220,7 @@ def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_port):
 
 
 def test_the_gym_path_survives_too(tmp_path, free_port):
-    config = Train("r", preset="paper").run_config()
+    config = Train("r", training=TrainingOptions(preset="paper")).run_config()
     with open_player(config, tmp_path, seed=5, port=free_port, timeout_wait=30, limits=UNLIMITED) as (players, _):
         players.reset()
         players.step(np.zeros((1, 2), np.float32))

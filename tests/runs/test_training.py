@@ -18,9 +18,9 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.normaliser import ObservationStatistics
-from trainer.main import Train
 from trainer.runs.folder import PROGRESS_COLUMNS
 from trainer.runs.training import Meanwhile, build_stages
 
