@@ -7,8 +7,8 @@ import dataclasses
 import shutil
 from pathlib import Path
 
+from trainer.commands.train import Train
 from trainer.config import RunConfig
-from trainer.main import Train
 from trainer.runs.folder import RunFolder
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -2,15 +2,18 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from trainer.corridor import CORRIDOR
+from trainer.options import Count, Options, Port, Range, Seconds
 
 PAPER_STEPS = 1_500_000
+BASE_PORT = 5005  # mlagents-learn's
 PresetName = Literal["fast", "paper"]
 Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
 Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
+Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]
 
 
 @dataclass(frozen=True)
@@ -137,57 +140,63 @@ OTHERS: dict[Algorithm, type[OtherConfig]] = {"a2c": A2CConfig, "trpo": TRPOConf
 
 
 @dataclass(frozen=True)
-class EngineConfig:
-    """Unity's engine settings, with the defaults of ``mlagents-learn``; our corridor has no engine and ignores them.
+class EngineConfig(Options):
+    """Unity's engine settings, with the defaults of mlagents-learn; our corridor has no engine and ignores them.
 
     Attributes:
-        width: Of the window, in pixels.
-        height: Of the window, in pixels.
-        quality_level: ``QualitySettings.SetQualityLevel``.
-        time_scale: ``Time.timeScale``: simulated seconds in a second, where the machine keeps up.
-        target_frame_rate: ``Application.targetFrameRate``; -1 is as fast as can be.
-        capture_frame_rate: ``Time.captureFramerate``.
+        width: Of Unity's window, in pixels.
+        height: Of Unity's window, in pixels.
+        quality_level: Unity's quality level.
+        time_scale: Unity's time scale: simulated seconds in a second, where the machine keeps up.
+        target_frame_rate: Unity's target frame rate; -1 is as fast as can be.
+        capture_frame_rate: Unity's capture frame rate.
     """
 
-    RANGES: ClassVar[dict[str, tuple[float, float]]] = {
-        "width": (1, 16384),
-        "height": (1, 16384),
-        "quality_level": (0, 100),
-        "time_scale": (0.01, 100.0),  # Unity refuses more
-        "target_frame_rate": (-1, 10000),
-        "capture_frame_rate": (0, 10000),
-    }
+    width: Annotated[int, Range(1, 16384)] = 84
+    height: Annotated[int, Range(1, 16384)] = 84
+    quality_level: Annotated[int, Range(0, 100)] = 5
+    time_scale: Annotated[float, Range(0.01, 100.0)] = 20.0  # Unity refuses more
+    target_frame_rate: Annotated[int, Range(-1, 10000)] = -1
+    capture_frame_rate: Annotated[int, Range(0, 10000)] = 60
 
-    width: int = 84
-    height: int = 84
-    quality_level: int = 5
-    time_scale: float = 20.0
-    target_frame_rate: int = -1
-    capture_frame_rate: int = 60
+    def _given(self, name: str, value: Any) -> str:
+        return f"The engine setting {name} is {value}"
 
 
 @dataclass(frozen=True)
-class ConnectionOptions:
-    """How players are reached."""
+class RestartLimits(Options):
+    """How often one player may be started again after it died or hung; as with mlagents-learn, -1 means no limit."""
 
-    base_port: int = 5005
+    max_lifetime_restarts: Restarts = 10
+    """In the whole run."""
+    restarts_rate_limit_n: Restarts = 1
+    """In any period."""
+    restarts_rate_limit_period_s: Seconds = 60.0
+    """The period's length, in seconds."""
+
+
+@dataclass(frozen=True)
+class WaitOptions(Options):
+    """Where players and trainer meet."""
+
+    timeout_wait: Count = 60
+    """Seconds to wait for a player."""
+
+
+@dataclass(frozen=True)
+class PortOptions(WaitOptions):
+    """Where players and trainer meet."""
+
+    base_port: Port = BASE_PORT
+    """Port on which the first launched player finds the trainer; others have the ports after it."""
+
+
+@dataclass(frozen=True)
+class ConnectionOptions(PortOptions):
+    """Where players and trainer meet."""
+
     listen: str = "localhost"
-    timeout_wait: int = 60
-
-
-@dataclass(frozen=True)
-class RestartLimits:
-    """How often one player may be started again after it died or hung; as ``mlagents-learn``, -1 means no limit.
-
-    Attributes:
-        max_lifetime_restarts: In the whole run.
-        restarts_rate_limit_n: In any period.
-        restarts_rate_limit_period_s: The period's length, in seconds.
-    """
-
-    max_lifetime_restarts: int = 10
-    restarts_rate_limit_n: int = 1
-    restarts_rate_limit_period_s: float = 60.0
+    """Host to listen on for players; anything but loopback trusts the network."""
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def test_evaluating_what_does_not_exist(tmp_path):
 
 
 def test_evaluating_a_run_without_a_checkpoint(tmp_path, free_port):
-    from trainer.main import Train
+    from trainer.commands.train import Train
 
     folder = tmp_path / "empty"
     folder.mkdir()
@@ -168,7 +168,7 @@ def test_evaluating_a_broken_configuration(tmp_path):
 
 
 def test_resuming_with_other_settings_lists_them(tmp_path):
-    from trainer.main import Train
+    from trainer.commands.train import Train
 
     folder = tmp_path / "mine"
     folder.mkdir()

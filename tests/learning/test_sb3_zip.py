@@ -11,11 +11,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.commands.shared_options import TrainingOptions
+from trainer.commands.train import Train
 from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.learning.stages import build_stages
-from trainer.main import Train, main
+from trainer.main import main
 from trainer.runs.checkpoint import read_checkpoint
 from trainer.runs.folder import RunFolder
 from trainer.runs.run import train_run
@@ -44,7 +46,8 @@ def test_the_policy_acts_as_the_one_that_was_saved(tmp_path):
 
 def test_a_run_begins_with_it_and_says_what_it_does_not_take(tmp_path, free_port, capsys):
     saved(tmp_path / "model.zip", log_std=torch.full((2,), -5.0))
-    config = Train("r", num_areas=2, steps=1, from_sb3=tmp_path / "model.zip").run_config()
+    one_step = TrainingOptions(steps=1)
+    config = Train("r", num_areas=2, training=one_step, from_sb3=tmp_path / "model.zip").run_config()
     folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
     assert train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)
     assert "only the policy's weights are used" in " ".join(capsys.readouterr().out.split())

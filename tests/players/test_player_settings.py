@@ -5,10 +5,11 @@ import pytest
 
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol.side_channels import read_engine_setting, read_environment_parameter
+from trainer.commands.train import Train
 from trainer.config import EngineConfig
 from trainer.corridor import CORRIDOR
 from trainer.errors import TrainerError
-from trainer.main import Train, main
+from trainer.main import main
 from trainer.players.settings import channels
 
 FILE = """
@@ -53,7 +54,7 @@ def test_the_defaults_are_those_of_mlagents_learn():
 
 
 def test_a_file_and_the_command_line_which_wins(tmp_path):
-    run = config(tmp_path, FILE, time_scale=7.0, env_param=("goal_x=8.5",))
+    run = config(tmp_path, FILE, engine={"time_scale": 7.0}, env_param=("goal_x=8.5",))
     engine, parameters = sent(run)
     assert engine[0] == "resolution 640 x 84"
     assert engine[2] == "time scale 7"
@@ -93,6 +94,8 @@ def test_our_player_takes_them(open_corridor, tmp_path):
         ("engine_settings: {time_scale: 0}", "time_scale is 0, but a number from 0.01 to 100 was expected"),
         ("engine_settings: {width: 84.5}", "width is 84.5, but a whole number from 1 to 16384 was expected"),
         ("engine_settings: {width: wide}", "width is wide"),
+        ("engine_settings: {width: true}", "width is True, but a whole number"),
+        ("engine_settings: {width: }", "width is None, but a whole number"),
         ("environment_parameters: {goal_x: far}", "goal_x is 'far', but a number was expected, or a sampler_type"),
         ("environment_parameters: {goal_x: .nan}", "goal_x is nan, but a number was expected"),
         ("environment_parameters: {goal_x: {sampler_type: odd, sampler_parameters: {}}}", "but a number was expected"),
@@ -124,10 +127,18 @@ def test_another_build_may_have_any_parameter(tmp_path):
 
 def test_everything_after_env_args_is_the_players(monkeypatch):
     seen = []
-    monkeypatch.setattr("trainer.main._run", lambda command, *_: seen.append(command) or 0)
+    monkeypatch.setattr(Train, "run", lambda command, typed: seen.append(command) or 0)
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
     assert seen[0].seed == 3
     assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
+
+
+def test_an_engine_setting_typed_at_its_default_still_wins_over_the_file(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(Train, "run", lambda command, typed: seen.append(command.run_config()) or 0)
+    (tmp_path / "settings.yaml").write_text(FILE)
+    main(["train", "--run-id", "r", "--config", str(tmp_path / "settings.yaml"), "--time-scale", "20"])
+    assert (seen[0].engine.time_scale, seen[0].engine.width) == (20.0, 640)
 
 
 def test_given_parameters_replace_the_presets():

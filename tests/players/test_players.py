@@ -10,9 +10,10 @@ import pytest
 from mlagents_envs.exception import UnityTimeOutException
 from recorded_slots import UNLIMITED, Recorded, failing, opened
 
+from trainer.commands.shared_options import TrainingOptions
+from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, RestartLimits
 from trainer.errors import TrainerError
-from trainer.main import Train
 from trainer.players.opening import open_environment, open_players
 from trainer.players.settings import channels
 from trainer.players.several import Players
@@ -167,7 +168,7 @@ def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_port):
 
 
 def test_the_gym_path_survives_too(tmp_path, free_port):
-    config = Train("r", preset="paper").run_config()
+    config = Train("r", training=TrainingOptions(preset="paper")).run_config()
     connection = ConnectionOptions(base_port=free_port, timeout_wait=30)
     with open_players(config, tmp_path, connection, seed=5, limits=UNLIMITED) as players:
         players.reset()

@@ -177,7 +177,7 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_files(tmp_path):
 def test_a_damaged_checkpoint_ends_the_command_with_the_offer(tmp_path):
     run = tmp_path / "r"
     options = ["--run-id", "r", "--results-dir", str(tmp_path)]
-    from trainer.main import Train
+    from trainer.commands.train import Train
     from trainer.runs.folder import RunFolder
 
     RunFolder.prepare(Train("r").run_config(), tmp_path, resume=False, force=False)

@@ -14,9 +14,9 @@ from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
 
+from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.stages import Stages, build_stages
-from trainer.main import Train
 from trainer.runs.checkpoint import find_checkpoint
 from trainer.runs.folder import RunFolder
 from trainer.runs.onnx_file import _Nobody, policy_as_onnx

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from stable_baselines3.common.env_util import make_vec_env
 
+from trainer.commands.shared_options import TrainingOptions
+from trainer.commands.train import Train
 from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.lean_ppo import LeanPPO
 from trainer.learning.stages import build_stages
-from trainer.main import Train
 from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
 from trainer.runs.folder import RunFolder
 from trainer.runs.logs import ProgressFile
@@ -35,7 +36,7 @@ def test_weights_or_losses_that_go_bad_stop_the_run_and_the_update_before_is_kep
             harm(model)
 
     monkeypatch.setattr(LeanPPO, "train", third_time_unlucky)
-    config = Train("r", num_areas=8, steps=4_000).run_config()
+    config = Train("r", num_areas=8, training=TrainingOptions(steps=4_000)).run_config()
     folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
     with pytest.raises(TrainerError, match=f"After the update at step 384: {says}"):
         train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)

@@ -18,11 +18,11 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.deferring import Deferring
 from trainer.learning.normaliser import ObservationStatistics
 from trainer.learning.stages import build_stages
-from trainer.main import Train
 from trainer.runs.logs import PROGRESS_COLUMNS
 
 TIMING = {"steps_per_second", "wall_seconds"}

@@ -12,9 +12,9 @@ from recorded_run import GOLDEN, recorded_run, settings
 
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
+from trainer.commands.train import Train
 from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
-from trainer.main import Train
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories, load_trajectories, save_trajectories
 from trainer.viewer.scene import FOREIGN, choose, episode_record, run_scene

@@ -11,8 +11,8 @@ from conftest import BIN
 from PIL import Image
 from recorded_run import recorded_run
 
+from trainer.commands.train import Train
 from trainer.errors import TrainerError
-from trainer.main import Train
 from trainer.runs.evaluation import Episode
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories

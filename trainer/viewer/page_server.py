@@ -37,10 +37,8 @@ def watch(results_dir: Path, port: int, console: Console) -> None:
         console: Told the address, which has the token in it.
 
     Raises:
-        TrainerError: The port is in use or no port.
+        TrainerError: The port is in use, or may not be opened.
     """
-    if not 0 <= port <= 65535:
-        raise TrainerError(f"--port is {port}, but ports go from 1 to 65535.")
     try:
         server = PageServer(results_dir, port)
     except OSError as error:

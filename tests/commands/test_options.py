@@ -1,0 +1,123 @@
+"""An option says everything about itself in one place: type, default, help and range."""
+
+import math
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+import tyro
+
+from trainer.commands.evaluate import Evaluate
+from trainer.commands.replay import Replay
+from trainer.commands.shared_options import ExistingRun
+from trainer.commands.train import Train
+from trainer.config import ConnectionOptions, EngineConfig, PortOptions, RestartLimits
+from trainer.errors import TrainerError
+from trainer.main import main
+from trainer.options import Count, Options, Port, Range, Seconds, Seed
+
+
+@dataclass(frozen=True)
+class Example(Options):
+    """Of each kind one."""
+
+    steps: Count = 1
+    """Agent steps."""
+    at_a_time: Count | None = None
+    ratio: Annotated[float, Range(0, 1000)] = 0.3
+    wait: Seconds = 1.0
+    port: Port = 5005
+    seed: Seed = 0
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ({"steps": 0}, "--steps is 0, but a whole number from 1 up was expected."),
+        ({"at_a_time": 0}, "--at-a-time is 0, but a whole number from 1 up was expected."),
+        ({"ratio": 1000.5}, "--ratio is 1000.5, but a number from 0 to 1000 was expected."),
+        ({"ratio": math.nan}, "--ratio is nan, but a number from 0 to 1000 was expected."),
+        ({"wait": 0.0}, "--wait is 0, but seconds above 0 were expected."),
+        ({"port": 0}, "--port is 0, but a whole number from 1 up was expected."),
+        ({"port": 65536}, "--port is 65536, but ports end at 65535."),
+        ({"seed": -1}, "--seed is -1, but a whole number from 0 up was expected."),
+        ({"seed": 2**31}, "--seed is 2147483648, but the protocol carries seeds below 2147483648."),
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_when_the_options_are_made(option, says):
+    with pytest.raises(TrainerError) as refused:
+        Example(**option)
+    assert str(refused.value) == says
+
+
+def test_values_at_the_ends_of_their_range_are_taken():
+    Example(ratio=0.0, wait=1e-9, port=1)
+    Example(ratio=1000.0, wait=math.inf, port=65535, seed=2**31 - 1)
+
+
+def test_an_option_that_must_be_whole_takes_no_fraction():
+    EngineConfig(width=640)
+    with pytest.raises(TrainerError, match=r"The engine setting width is 84.5, but a whole number from 1 to 16384 was"):
+        EngineConfig(width=84.5)
+
+
+def test_the_string_below_a_field_is_its_help(capsys):
+    with pytest.raises(SystemExit):
+        tyro.cli(Example, args=["--help"])
+    assert "Agent steps. (default: 1)" in capsys.readouterr().out
+
+
+def test_minus_one_restart_is_no_limit_and_less_is_refused():
+    RestartLimits(-1, -1)
+    with pytest.raises(
+        TrainerError, match="--restarts-rate-limit-n is -2, but a whole number from 0 up was expected, or"
+    ):
+        RestartLimits(1, -2)
+
+
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [
+        (
+            ["train", "--run-id", "r", "--base-port", "6000", "--listen", "::1", "--timeout-wait", "5"],
+            Train("r", connection=ConnectionOptions(5, 6000, "::1")),
+        ),
+        (
+            ["evaluate", "r", "--base-port", "6000", "--listen", "::1", "--timeout-wait", "5"],
+            Evaluate(ExistingRun("r"), connection=ConnectionOptions(5, 6000, "::1")),
+        ),
+        (
+            ["replay", "r", "--base-port", "6000", "--timeout-wait", "5"],
+            Replay(ExistingRun("r"), connection=PortOptions(5, 6000)),
+        ),
+    ],
+)
+def test_commands_share_the_connections_options_under_their_own_names(command, made, monkeypatch):
+    seen = []
+    monkeypatch.setattr(type(made), "run", lambda command, typed: seen.append((command, typed)) or 0)
+    assert main(command) == 0
+    assert seen == [(made, " ".join(["corridor", *command]))]
+
+
+@pytest.mark.parametrize(
+    "command", [["train", "--run-id", "r"], ["evaluate", "r"], ["replay", "r"], ["study", "penalty"]]
+)
+def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, capsys):
+    assert main([*command, "--timeout-wait", "0"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert said == "error: --timeout-wait is 0, but a whole number from 1 up was expected."
+
+
+def test_help_and_refusals_come_at_once():
+    """What takes seconds to import waits until a command runs."""
+    program = """
+import sys
+from trainer.main import main
+assert main(["train", "--run-id", "r", "--steps", "0"]) == 1
+slow = {"torch", "stable_baselines3", "tensorboard", "matplotlib", "mlagents_envs.environment"}
+print(sorted(slow & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "[]", done.stderr

@@ -1,0 +1,23 @@
+"""``corridor check``."""
+
+from dataclasses import dataclass
+
+from rich.console import Console
+
+from trainer.options import Options, Seconds
+
+
+@dataclass(frozen=True)
+class Check(Options):
+    """Hold a player against the ML-Agents protocol, and against the corridor's contract."""
+
+    env: str = "builtin"
+    """builtin, a build's path, editor, or HOST:PORT to listen on. One not started here dials in for every sentence."""
+    timeout_wait: Seconds = 20.0
+    """Seconds to wait for each message of the player."""
+
+    def run(self, typed: str) -> int:
+        """Checks; the exit code is 1 if a check failed."""
+        from trainer.conformance.checker import check_player
+
+        return 0 if check_player(self.env, self.timeout_wait, Console()) else 1

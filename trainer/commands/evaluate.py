@@ -1,0 +1,31 @@
+"""``corridor evaluate``."""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+from trainer.commands.shared_options import Episodes, ExistingRun
+from trainer.config import ConnectionOptions
+from trainer.options import Options
+
+
+@dataclass(frozen=True)
+class Evaluate(Options):
+    """Repeat the evaluation of a trained run."""
+
+    results: ExistingRun
+    episodes: Episodes = 200
+    """How many episodes to play."""
+    env: str | None = None
+    """Another environment than the run's, as in corridor train."""
+    connection: ConnectionOptions = field(default_factory=ConnectionOptions)
+
+    def run(self, typed: str) -> int:
+        """Evaluates the run's newest checkpoint."""
+        folder = self.results.find()
+        config = folder.read_config()
+        if self.env is not None:
+            config = dataclasses.replace(config, env=self.env)
+        from trainer.runs.run import evaluate_run
+
+        evaluate_run(config, folder, self.connection, episodes=self.episodes)
+        return 0

@@ -1,0 +1,27 @@
+"""``corridor export``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from trainer.commands.shared_options import ExistingRun
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a trained run's policy as an ONNX file that Unity reads."""
+
+    results: ExistingRun
+    onnx: Path
+    """The file to write."""
+
+    def run(self, typed: str) -> int:
+        """Writes the file."""
+        folder = self.results.find()
+        config = folder.read_config()
+        from trainer.runs.onnx_file import export_run
+
+        export_run(config, folder, self.onnx)
+        Console().print(f"Wrote {self.onnx}", highlight=False, soft_wrap=True)
+        return 0

@@ -1,0 +1,44 @@
+"""``corridor replay``."""
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+
+from trainer.commands.shared_options import Episodes, ExistingRun
+from trainer.config import ConnectionOptions, PortOptions
+from trainer.options import Options
+
+
+@dataclass(frozen=True)
+class Replay(Options):
+    """Show a run's evaluation: a page that needs no network, a GIF and an MP4, in the run's folder.
+
+    Of a study: its report as a page, and a replay page of each of its runs.
+    """
+
+    results: ExistingRun
+    checkpoint: str | None = None
+    """Play this checkpoint instead, such as step-500736."""
+    episodes: Episodes = 20
+    """How many episodes the page shows."""
+    connection: PortOptions = field(default_factory=PortOptions)
+
+    def run(self, typed: str) -> int:
+        """Writes the pages."""
+        from trainer.viewer.replay_files import replay_run
+        from trainer.viewer.study_page import is_study, write_study_page
+
+        for study in (self.results.results_dir / self.results.run, Path(self.results.run)):
+            if is_study(study):
+                write_study_page(study, self.episodes, Console())
+                return 0
+        folder = self.results.find()
+        replay_run(
+            folder.read_config(),
+            folder,
+            ConnectionOptions(**asdict(self.connection)),
+            checkpoint=self.checkpoint,
+            episodes=self.episodes,
+        )
+        return 0

@@ -1,0 +1,48 @@
+"""Options that several commands have."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from trainer.config import PAPER_STEPS, PresetName
+from trainer.options import Count, Options, Range
+
+if TYPE_CHECKING:
+    from trainer.runs.folder import RunFolder
+
+RESULTS = Path("results")
+ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
+Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]
+
+
+@dataclass(frozen=True)
+class TrainingOptions(Options):
+    """How, and how long, a run trains."""
+
+    preset: PresetName = "fast"
+    """fast: many areas through one player; paper: one area through UnityToGymWrapper, as the paper did."""
+    steps: Count = PAPER_STEPS
+    """Agent steps to train for."""
+    eval_episodes: Count = 200
+    """Episodes of the evaluation at the end."""
+
+
+@dataclass(frozen=True)
+class ExistingRun:
+    """Where the run is."""
+
+    run: tyro.conf.Positional[str]
+    """The run's id, or the path of its folder."""
+    results_dir: ResultsDir = RESULTS
+
+    def find(self) -> "RunFolder":
+        """The run's folder.
+
+        Raises:
+            TrainerError: There is none.
+        """
+        from trainer.runs.folder import RunFolder
+
+        return RunFolder.find(self.run, self.results_dir)

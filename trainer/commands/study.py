@@ -1,0 +1,165 @@
+"""``corridor study``."""
+
+import os
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+from rich.console import Console
+
+from trainer.commands.shared_options import RESULTS, TrainingOptions
+from trainer.config import ExecutorName, WaitOptions
+from trainer.errors import TrainerError
+from trainer.options import Count, Options, Range
+
+
+@dataclass(frozen=True)
+class StudyOptions(Options):
+    """A study that trains."""
+
+    name: ClassVar[str]
+    seeds: Count = 5
+    """How many seeds; every arm has a run for each."""
+    first_seed: Annotated[int, Range(0)] = 0
+    """The first of them."""
+    jobs: Count | None = None
+    """Runs at a time on this machine; as many as it has cores if not given."""
+    executor: ExecutorName = "local"
+    """local: processes of this machine; ray: tasks on a Ray cluster (pip install .[ray])."""
+    address: str | None = None
+    """The Ray cluster, HOST:PORT or auto; if not given, one is started on this machine."""
+    results_dir: str = str(RESULTS)
+    """Where studies are kept: a folder, or an fsspec URL. A stopped study goes on from what is there."""
+    training: TrainingOptions = field(default_factory=TrainingOptions)
+    connection: WaitOptions = field(default_factory=WaitOptions)
+
+    def __post_init__(self) -> None:
+        """Refuses values out of their range, and options that contradict each other.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        super().__post_init__()
+        if self.first_seed + self.seeds > 2**31:
+            raise TrainerError(
+                f"--first-seed {self.first_seed} and --seeds {self.seeds} go beyond the protocol's seeds, < {2**31}."
+            )
+        if self.executor == "local" and self.address is not None:
+            raise TrainerError(f"--address {self.address} names a Ray cluster; add --executor ray, or leave it out.")
+        if self.executor == "ray" and self.jobs is not None:
+            raise TrainerError("--jobs is for --executor local; Ray runs as many at a time as its cluster has cores.")
+
+    def run(self, typed: str) -> int:
+        """Trains what is missing and reports; the exit code is 1 if a run failed."""
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # stop as for Ctrl-C
+        from trainer.studies import conduct, executors, plan
+        from trainer.studies.ray_executor import RayExecutor
+        from trainer.studies.store import Store
+
+        studies = {each.name: each for each in plan.STUDIES}
+        executor: executors.Executor
+        if self.executor == "ray":
+            executor = RayExecutor(self.address)
+        else:
+            executor = executors.LocalExecutor(self.jobs or os.cpu_count() or 1)
+        finished = conduct.run_study(
+            studies[self.name],
+            executor,
+            Store(self.results_dir),
+            preset=self.training.preset,
+            seeds=range(self.first_seed, self.first_seed + self.seeds),
+            steps=self.training.steps,
+            episodes=self.training.eval_episodes,
+            timeout_wait=self.connection.timeout_wait,
+            command=typed,
+            console=Console(),
+        )
+        return 0 if finished else 1
+
+
+@dataclass(frozen=True)
+class CuriosityRatio(StudyOptions):
+    """Fig. 5: c = 0, 0.1, 0.3 and 0.5."""
+
+    name: ClassVar = "curiosity-ratio"
+
+
+@dataclass(frozen=True)
+class Penalty(StudyOptions):
+    """Fig. 6: c = 0.3 with and without the penalty of -1, and base PPO without either."""
+
+    name: ClassVar = "penalty"
+
+
+@dataclass(frozen=True)
+class CaseStudies(StudyOptions):
+    """Both of these at once; runs that both need are trained once."""
+
+    name: ClassVar = "case-studies"
+
+
+@dataclass(frozen=True)
+class Algorithms(StudyOptions):
+    """Section III-A: PPO, A2C, TRPO and DDPG with and without curiosity; RND beside ICM."""
+
+    name: ClassVar = "algorithms"
+
+
+@dataclass(frozen=True)
+class DoseResponse(StudyOptions):
+    """What the claims depend on: c from 0 to 2; gamma, with and without the penalty, with and without curiosity."""
+
+    name: ClassVar = "dose-response"
+
+
+@dataclass(frozen=True)
+class Generalise(Options):
+    """Trained policies in corridors that they never saw: faster opponents, narrower, switch and start moved, more."""
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    """Finished runs, by id or path: one, or several seeds of the same settings."""
+    episodes: Count = 100
+    """To play in each changed corridor."""
+    results_dir: Path = RESULTS
+    """Where runs are kept; the report goes to RESULTS_DIR/generalise."""
+    connection: WaitOptions = field(default_factory=WaitOptions)
+
+    def run(self, typed: str) -> int:
+        """Plays and reports."""
+        if not self.runs:
+            raise TrainerError("Which run's policy? Give a run's id, or several: corridor study generalise RUN ...")
+        from trainer.runs.folder import RunFolder
+
+        folders = [RunFolder.find(run, self.results_dir) for run in self.runs]
+        from trainer.studies.generalise import run_generalise
+
+        run_generalise(
+            folders,
+            self.results_dir / "generalise",
+            episodes=self.episodes,
+            timeout_wait=self.connection.timeout_wait,
+            command=typed,
+            console=Console(),
+        )
+        return 0
+
+
+@dataclass(frozen=True)
+class StudyCommand:
+    """Train many runs and report what they show, with statistics over seeds."""
+
+    what: (
+        Annotated[CuriosityRatio, tyro.conf.subcommand("curiosity-ratio")]
+        | Annotated[Penalty, tyro.conf.subcommand("penalty")]
+        | Annotated[CaseStudies, tyro.conf.subcommand("case-studies")]
+        | Annotated[Algorithms, tyro.conf.subcommand("algorithms")]
+        | Annotated[DoseResponse, tyro.conf.subcommand("dose-response")]
+        | Annotated[Generalise, tyro.conf.subcommand("generalise")]
+    )
+    """Which study."""
+
+    def run(self, typed: str) -> int:
+        """Runs the study."""
+        return self.what.run(typed)

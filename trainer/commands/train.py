@@ -1,0 +1,155 @@
+"""``corridor train``."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Annotated, Any, TypedDict, cast, get_type_hints
+
+import tyro
+
+from trainer.commands.shared_options import RESULTS, ResultsDir, TrainingOptions
+from trainer.config import (
+    PRESETS,
+    Algorithm,
+    ConnectionOptions,
+    EngineConfig,
+    Intrinsic,
+    RestartLimits,
+    RunConfig,
+    preset_run,
+)
+from trainer.corridor import check_ranges
+from trainer.errors import TrainerError
+from trainer.options import Count, Options, Range, Seed
+from trainer.signals import INTERRUPTED
+
+
+def _flags_of(config: type[EngineConfig]) -> Any:
+    """A config's fields as flags; what is not typed is left out of their mapping, so that the file's value stands."""
+    types, make_dict = get_type_hints(config), cast(Any, TypedDict)  # mypy wants a class statement of it
+    flags = {
+        each.name: Annotated[types[each.name], tyro.conf.arg(help_behavior_hint=f"(default: {each.default})")]
+        for each in fields(config)
+    }
+    made = make_dict(f"{config.__name__}Flags", flags, total=False)
+    made.__doc__ = config.__doc__
+    return made
+
+
+@dataclass(frozen=True)
+class Train(Options):
+    """Train an agent on an ML-Agents environment, then evaluate it."""
+
+    run_id: str
+    """Name of the run; its results go to RESULTS_DIR/RUN_ID."""
+    env: str = "builtin"
+    """builtin (our corridor), editor (the Unity editor, port 5004), a build's path, or HOST:PORT to listen on."""
+    c: Annotated[float, Range(0, 1000)] = 0.3
+    """The paper's curiosity ratio; 0 is base PPO."""
+    seed: Seed = 0
+    """Decides the run."""
+    num_envs: Count = 1
+    """Players, stepped concurrently, on consecutive ports."""
+    num_areas: Count | None = None
+    """Training areas in each player; the preset's if not given."""
+    results_dir: ResultsDir = RESULTS
+    resume: bool = False
+    """Continue an existing run."""
+    force: bool = False
+    """Overwrite an existing run."""
+    algo: Algorithm = "ppo"
+    """The learning algorithm."""
+    intrinsic: Intrinsic = "icm"
+    """What curiosity is paid for: icm, or rnd (random network distillation)."""
+    from_sb3: Path | None = None
+    """Begin with the policy of this Stable-Baselines3 .zip instead of a random one."""
+    penalty: Annotated[float, Range(0, 1000)] = 1.0
+    """Subtracted from the reward when an episode fails; 0 for the paper's case study B."""
+    config: Path | None = None
+    """YAML file with engine_settings and environment_parameters, as mlagents-learn's."""
+    env_param: tuple[str, ...] = ()
+    """Environment parameters, NAME=NUMBER; over those of the file."""
+    env_args: tuple[str, ...] = ()
+    """Everything after this option is passed to the launched players."""
+    training: TrainingOptions = field(default_factory=TrainingOptions)
+    connection: ConnectionOptions = field(default_factory=ConnectionOptions)
+    restarts: RestartLimits = field(default_factory=RestartLimits)
+    engine: Annotated[Mapping[str, float], tyro.conf.arg(constructor=_flags_of(EngineConfig))] = field(
+        default_factory=dict
+    )
+
+    def __post_init__(self) -> None:
+        """Refuses values out of their range, and options that contradict each other.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        super().__post_init__()
+        base_port, preset = self.connection.base_port, self.training.preset
+        if base_port + self.num_envs - 1 > 65535:
+            raise TrainerError(f"--base-port is {base_port}, but ports end at 65535.")
+        for name, count in (("num-areas", self.num_areas), ("num-envs", self.num_envs)):
+            if PRESETS[preset].through_gym and count not in (None, 1):
+                raise TrainerError(
+                    f"--{name} is {count}, but preset {preset} trains one area through UnityToGymWrapper; "
+                    f"leave --{name} out, or take preset fast."
+                )
+        if self.env == "editor" and self.num_envs != 1:
+            raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        if self.algo == "ddpg" and self.resume:
+            raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
+
+    def run_config(self) -> RunConfig:
+        """The run that these options ask for.
+
+        Raises:
+            TrainerError: The file can't be used, or an engine setting or environment parameter can't be set.
+        """
+        from trainer.settings_file import engine_config, environment_parameters, read_settings
+
+        engine, parameters = read_settings(self.config)
+        config = preset_run(
+            self.run_id,
+            self.training.preset,
+            c=self.c,
+            seed=self.seed,
+            steps=self.training.steps,
+            env=self.env,
+            algo=self.algo,
+            penalty=self.penalty,
+            num_areas=self.num_areas,
+            intrinsic=self.intrinsic,
+            from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
+            num_envs=self.num_envs,
+            env_args=list(self.env_args),
+            engine=engine_config({**engine, **self.engine}),
+            environment_parameters=environment_parameters(self.env_param, parameters, self.env == "builtin"),
+        )
+        if self.env == "builtin":
+            check_ranges(config.environment_parameters)
+        return config
+
+    def run(self, typed: str) -> int:
+        """Trains and evaluates."""
+        config = self.run_config()
+        from trainer.players.location import check_launchable
+
+        check_launchable(config.env)  # a bad player or file is refused before a folder is made
+        if self.from_sb3 is not None and not self.resume:
+            from trainer.learning.sb3_zip import read_sb3_policy
+
+            read_sb3_policy(self.from_sb3)
+        from trainer.runs.folder import RunFolder
+
+        folder = RunFolder.prepare(config, self.results_dir, resume=self.resume, force=self.force)
+        from trainer.runs.run import train_run
+
+        finished = train_run(
+            config,
+            folder,
+            self.connection,
+            episodes=self.training.eval_episodes,
+            resumed=self.resume,
+            limits=self.restarts,
+        )
+        return 0 if finished else INTERRUPTED

@@ -1,0 +1,25 @@
+"""``corridor watch``."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from rich.console import Console
+
+from trainer.commands.shared_options import RESULTS, ResultsDir
+from trainer.options import Options, Range
+
+
+@dataclass(frozen=True)
+class Watch(Options):
+    """Watch runs while they train, and drive the learner yourself, in a browser on this machine."""
+
+    port: Annotated[int, Range(0, 65535, otherwise="ports go from 1 to 65535")] = 8008  # 0 takes a free one
+    """Port of the page, on loopback."""
+    results_dir: ResultsDir = RESULTS
+
+    def run(self, typed: str) -> int:
+        """Serves the page until Ctrl-C."""
+        from trainer.viewer.page_server import watch
+
+        watch(self.results_dir, self.port, Console())
+        return 0
