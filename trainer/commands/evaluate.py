@@ -15,12 +15,14 @@ class Evaluate(Options):
     results: ExistingRun
     episodes: Episodes = 200
     """How many episodes to play."""
+    checkpoint: str | None = None
+    """Evaluate this checkpoint, such as step-500736, not the newest; its episodes replace those of trajectories.npz."""
     env: str | None = None
     """Another environment than the run's, as in corridor train."""
     connection: ConnectionOptions = field(default_factory=ConnectionOptions)
 
     def run(self, typed: str) -> int:
-        """Evaluates the run's newest checkpoint."""
+        """Evaluates."""
         folder = self.results.find()
         config = folder.read_config()
         if self.env is not None:
@@ -33,6 +35,7 @@ class Evaluate(Options):
             port=self.connection.base_port,
             timeout_wait=self.connection.timeout_wait,
             episodes=self.episodes,
+            checkpoint=self.checkpoint,
             listen=self.connection.listen,
         )
         return 0

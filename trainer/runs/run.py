@@ -118,14 +118,29 @@ def train_run(
 
 
 def evaluate_run(
-    config: RunConfig, folder: RunFolder, *, port: int, timeout_wait: int, episodes: int, listen: str = LOOPBACK
+    config: RunConfig,
+    folder: RunFolder,
+    *,
+    port: int,
+    timeout_wait: int,
+    episodes: int,
+    checkpoint: str | None = None,
+    listen: str = LOOPBACK,
 ) -> None:
-    """Evaluates a run's newest checkpoint on the episodes that its own evaluation played.
+    """Evaluates a checkpoint, the newest if none is named, on the episodes that the run's own evaluation played.
 
     Raises:
-        TrainerError: There is no checkpoint, it does not fit, or the player failed.
+        TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
-    evaluated = play_episodes(config, folder, port=port, timeout_wait=timeout_wait, episodes=episodes, listen=listen)
+    evaluated = play_episodes(
+        config,
+        folder,
+        port=port,
+        timeout_wait=timeout_wait,
+        episodes=episodes,
+        checkpoint=checkpoint,
+        listen=listen,
+    )
     save_trajectories(folder.trajectories, evaluated)
     title = f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
     _report(Console(), folder, config, evaluated.episodes, title, evaluated.behavior)
