@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import time
@@ -130,6 +131,19 @@ def test_evaluate_repeats_the_evaluation(run, free_port):
     evaluation = json.loads((run / "summary.json").read_text())["evaluation"]
     for name in ("success_rate", "mean_return", "mean_episode_length"):
         assert f"{evaluation[name]:g}" in done.stdout
+
+
+def test_evaluate_plays_the_checkpoint_that_is_named(run, tmp_path, free_port):
+    copy = shutil.copytree(run, tmp_path / "short")
+    (newest,) = (copy / "checkpoints").glob("step-*.safetensors")
+    newest.rename(newest.with_stem("step-0000000001"))
+    newest.write_bytes(b"damaged")
+    options = ("--episodes", 20, "--results-dir", tmp_path, "--base-port", free_port)
+    assert "is damaged" in corridor("evaluate", "short", *options).stderr
+    assert "there are: step-1, " in corridor("evaluate", "short", "--checkpoint", "step-2", *options).stderr
+    done = corridor("evaluate", "short", "--checkpoint", "step-1", *options)
+    assert done.returncode == 0, done.stderr
+    assert f"{json.loads((run / 'summary.json').read_text())['evaluation']['mean_return']:g}" in done.stdout
 
 
 def test_base_ppo_has_no_curiosity(tmp_path, free_port):

@@ -15,17 +15,19 @@ class Evaluate(Options):
     results: ExistingRun
     episodes: Episodes = 200
     """How many episodes to play."""
+    checkpoint: str | None = None
+    """Evaluate this checkpoint, such as step-500736, not the newest; its episodes replace those of trajectories.npz."""
     env: str | None = None
     """Another environment than the run's, as in corridor train."""
     connection: ConnectionOptions = field(default_factory=ConnectionOptions)
 
     def run(self, typed: str) -> int:
-        """Evaluates the run's newest checkpoint."""
+        """Evaluates."""
         folder = self.results.find()
         config = folder.read_config()
         if self.env is not None:
             config = dataclasses.replace(config, env=self.env)
         from trainer.runs.run import evaluate_run
 
-        evaluate_run(config, folder, self.connection, episodes=self.episodes)
+        evaluate_run(config, folder, self.connection, episodes=self.episodes, checkpoint=self.checkpoint)
         return 0

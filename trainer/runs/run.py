@@ -170,13 +170,20 @@ def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation:
         _show_evaluation(config, folder, evaluation)
 
 
-def evaluate_run(config: RunConfig, folder: RunFolder, connection: ConnectionOptions, *, episodes: int) -> None:
-    """Evaluates a run's newest checkpoint on the episodes that its own evaluation played.
+def evaluate_run(
+    config: RunConfig,
+    folder: RunFolder,
+    connection: ConnectionOptions,
+    *,
+    episodes: int,
+    checkpoint: str | None = None,
+) -> None:
+    """Evaluates a checkpoint, the newest if none is named, on the episodes that the run's own evaluation played.
 
     Raises:
-        TrainerError: There is no checkpoint, it does not fit, or the player failed.
+        TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
-    evaluation = play_episodes(config, folder, connection, episodes=episodes)
+    evaluation = play_episodes(config, folder, connection, episodes=episodes, checkpoint=checkpoint)
     save_trajectories(folder.trajectories, evaluation)
     _show_evaluation(config, folder, evaluation)
 
