@@ -32,11 +32,11 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from rich.console import Console
 from rich.table import Table
 
-from corridor_server.corridor.areas import Areas
+from corridor_server.corridor.areas import BEHAVIOR, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import API_VERSION, EXCHANGE, RESET, SERVICE, UnityMessageProto
-from corridor_server.protocol.wire import BEHAVIOR
 from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, WALL_COLOUR
 from trainer.errors import TrainerError
 from trainer.players.communicator import OK, STOP
@@ -216,9 +216,10 @@ def _rate(environment: UnityEnvironment, areas: int, seconds: float) -> float:
 @contextmanager
 def _echo(areas: int) -> Iterator[Any]:
     """A bare gRPC server that answers as many bytes as a STEP has, and a client that sends as many as a batch has."""
-    flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, 13), np.float32)
-    rows = columnar.AgentRows(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
-    request = len(columnar.write_output(BEHAVIOR, "VectorSensor_size13", rows, b""))
+    size = CorridorConfig().observation_size
+    flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, size), np.float32)
+    agents = Agents(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
+    request = len(columnar.write_output(BEHAVIOR, f"VectorSensor_size{size}", agents, b""))
     reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
     server, port = _serve(lambda data, context: reply, 0)
     child = _Child(sys.executable, _ECHO, port, request, EXCHANGE)
