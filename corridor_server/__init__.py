@@ -1,7 +1,8 @@
 """The paper's corridor as a player that speaks the ML-Agents protocol, and as a Gymnasium environment.
 
-The data flows one way: ``config`` -> ``world`` -> ``drawing``, ``areas`` -> ``wire``, ``side_channels`` -> ``player``.
-``gym_env`` stands on ``areas`` too, and is the oracle that the player is tested against.
+``protocol`` knows messages and agents, and no simulation; ``corridor`` is the simulation, and knows no message.
+``player`` brings them together: ``corridor_config`` -> ``world`` -> ``areas`` -> agents -> ``wire`` -> ``connection``.
+``corridor.gym_env`` is the same world in process, and the oracle that the player is tested against.
 """
 
 from importlib.util import find_spec

@@ -4,7 +4,7 @@ import logging
 from typing import Any
 
 from corridor_server.connection import Connection, ConnectionFailed
-from corridor_server.corridor.areas import Areas, Batch
+from corridor_server.corridor.areas import ACADEMY, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.messages import API_VERSION, QUIT
@@ -75,22 +75,24 @@ class Player:
             logger.debug("%s", error)
 
     def _play(self) -> None:
-        parameters = wire.parameters(self._connection.exchange(wire.hello(self._package_version)))
+        parameters = wire.parameters(self._connection.exchange(wire.hello(ACADEMY, self._package_version)))
         if parameters is None:
             return
         areas = self._areas(parameters)
         camera = wire.Camera(self._compressed, _wants_channels_first(parameters.package_version))
         reply = self._connection.exchange(wire.acknowledgement())
-        batch: Batch | None = None
-        while (command := wire.command(reply, len(areas) if batch else None)).number != QUIT:
+        asked: int | None = None  # how many agents want an action; nobody was heard of yet
+        while (command := wire.command(reply, areas.behavior, asked)).number != QUIT:
             state_wanted = self._apply_side_channels(areas, command.side_channel)
-            introduce = batch is None
-            # No actions: a RESET, or a STEP before the first one.
-            batch = areas.reset() if command.actions is None else areas.step(command.actions)
-            side_channel = side_channels.write_statistics(batch)
+            if command.actions is None:  # a RESET, or a STEP before the first one
+                agents, side_channel = areas.reset(), b""
+            else:
+                agents, statistics = areas.step(command.actions)
+                side_channel = side_channels.write_statistics(statistics)
             if state_wanted:
                 side_channel += side_channels.write_state(areas.snapshot())
-            reply = self._connection.exchange(wire.output(batch, side_channel, introduce, camera))
+            introduce, asked = asked is None, len(agents.deciding)
+            reply = self._connection.exchange(wire.output(areas.behavior, agents, side_channel, introduce, camera))
         logger.info("The trainer ended the session.")
 
     def _areas(self, parameters: Any) -> Areas:

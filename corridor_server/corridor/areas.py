@@ -1,7 +1,7 @@
 """Training areas side by side: who asks for a decision, who ended, under which id, with which reward."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,46 +11,12 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.corridor.streams import Streams
+from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.samplers import Value
 
-
-@dataclass(frozen=True)
-class Agents:
-    """Agents of one kind in a batch, in area order.
-
-    Attributes:
-        ids: (n,) int32, one id an episode.
-        observations: (n, 8 + 5K) float32.
-        rewards: Since the agent's last batch, (n,) float32.
-        images: Top views, (n, height, width, 3) uint8; None without a camera.
-    """
-
-    ids: NDArray[np.int32]
-    observations: NDArray[np.float32]
-    rewards: NDArray[np.float32]
-    images: NDArray[np.uint8] | None = None
-
-    def rows(self, rows: NDArray[np.intp]) -> "Agents":
-        """A copy of some of these agents."""
-        images = None if self.images is None else self.images[rows]
-        return Agents(self.ids[rows], self.observations[rows], self.rewards[rows], images)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What the areas have to say after a reset or a decision.
-
-    Attributes:
-        deciding: Every area's agent that asks for an action; in an area whose episode just ended, the next one's.
-        ended: Agents whose episode ended, with their last observation and reward.
-        interrupted: Which of ``ended`` were cut by the step limit, (n,) bool.
-        statistics: ``world.statistics`` of the ended episodes, (n,) each; empty if none ended.
-    """
-
-    deciding: Agents
-    ended: Agents
-    interrupted: NDArray[np.bool_]
-    statistics: dict[str, world.Floats]
+ACADEMY = "Corridor"
+BEHAVIOR = f"{ACADEMY}?team=0"
+Statistics = dict[str, world.Floats]
 
 
 class Areas:
@@ -61,6 +27,11 @@ class Areas:
         seed: With an area's number, decides that area's episodes.
         areas: The areas' numbers; ``range(N)`` for N of them, ``[i]`` to look at the i-th alone.
         camera: Width and height of each agent's picture, in pixels; None draws none.
+
+    Attributes:
+        behavior: What every area's agent is to a trainer.
+        parameters: What the next episodes will be like.
+        state: Where everything is.
     """
 
     def __init__(
@@ -68,6 +39,7 @@ class Areas:
     ) -> None:
         numbers = tuple(areas)
         self.config = config
+        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, f"VectorSensor_size{config.observation_size}")
         self.parameters = EpisodeParameters(config, numbers)
         self._streams = Streams(seed, numbers)
         self._camera = camera
@@ -113,43 +85,63 @@ class Areas:
         if self.parameters.set(name, value):
             self._begun_by_end[:] = False
 
-    def reset(self) -> Batch:
+    def reset(self) -> Agents:
         """Starts a new episode in every area.
 
         An episode that began by itself when the last one ended and has not moved yet is kept: resetting after an end,
         as Gymnasium's loop does, must not skip an episode.
+
+        Returns:
+            Every area's agent, in area order.
         """
         if not self._restored:
             self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
-        nobody = np.zeros(0, dtype=np.intp)
-        deciding = self._agents(np.zeros(len(self), dtype=np.float32))
-        return Batch(deciding, deciding.rows(nobody), np.zeros(0, dtype=np.bool_), {})
+        return self._agents(np.zeros(len(self), dtype=np.float32))
 
-    def step(self, actions: NDArray[np.float32]) -> Batch:
-        """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends."""
+    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
+        """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends.
+
+        Returns:
+            Agents whose episode ended, then every area's agent, both in area order: in an area whose episode ended,
+            the next one's. And ``world.statistics`` of the ended episodes by their names on the statistics channel,
+            (ended,) each; nothing if none ended.
+        """
         self._restored = False
-        p = self.parameters.columns
-        self.state, outcome = world.step(p, self.state, actions.astype(np.float64))
+        self.state, outcome = world.step(self.parameters.columns, self.state, actions.astype(np.float64))
         agents = self._agents(outcome.reward.astype(np.float32))
         self._begun_by_end = outcome.ended
         rows = np.flatnonzero(outcome.ended)
-        ended = agents.rows(rows)
         if not len(rows):
-            return Batch(agents, ended, outcome.truncated[rows], {})
-        statistics = {name: values[rows] for name, values in world.statistics(self.state, outcome).items()}
+            return agents, {}
+        of_episodes = world.statistics(self.state, outcome)
+        statistics = {f"{ACADEMY}/{name}": values[rows] for name, values in of_episodes.items()}
         self._begin(rows)
-        agents.ids[rows] = self._ids[rows]
-        agents.observations[rows] = world.observation(p, self.state)[rows]
-        agents.rewards[rows] = 0.0
-        if agents.images is not None:
-            agents.images[rows] = self._pictures(rows)
-        return Batch(agents, ended, outcome.truncated[rows], statistics)
+        return self._with_ended(agents, rows, outcome.truncated), statistics
 
     def _agents(self, rewards: NDArray[np.float32]) -> Agents:
         observations = world.observation(self.parameters.columns, self.state)
         images = None if self._camera is None else self._pictures(np.arange(len(self)))
-        return Agents(self._ids.copy(), observations, rewards, images)
+        done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
+        return Agents(self._ids.copy(), rewards, done, interrupted, observations, images)
+
+    def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: world.Bools) -> Agents:
+        """Puts the agents of ``rows``, as they were last, before all areas' agents, in whose place successors stand."""
+        front, begun = slice(0, len(rows)), len(rows) + rows
+        done = np.zeros(len(rows) + len(last), dtype=np.bool_)
+        interrupted = np.zeros_like(done)
+        done[front] = True
+        interrupted[front] = truncated[rows]
+        ids = np.concatenate([last.ids[rows], self._ids])
+        rewards = np.concatenate([last.rewards[rows], last.rewards])
+        rewards[begun] = 0.0
+        observations = np.concatenate([last.observations[rows], last.observations])
+        observations[begun] = world.observation(self.parameters.columns, self.state)[rows]
+        images = None
+        if last.images is not None:
+            images = np.concatenate([last.images[rows], last.images])
+            images[begun] = self._pictures(rows)
+        return Agents(ids, rewards, done, interrupted, observations, images)
 
     def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
         assert self._camera is not None

@@ -7,12 +7,12 @@ not look exactly so, from whichever peer, is left to the protobuf parser: every 
 Ids are written as varints of five bytes, which all protobuf parsers read, so that every row has the same length.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import AgentActionProto, AgentInfoProto
 
 LARGEST_ID = 2**31 - 1
@@ -25,25 +25,6 @@ _CONTINUED = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
 _GROUP_LIMITS = np.array([0x7F, 0x7F, 0x7F, 0x7F, 7], np.uint8)
 # An example's values, found again in its bytes: where each column lies.
 _REWARD = np.float32(1.2345e-33).tobytes()
-
-
-@dataclass(frozen=True)
-class AgentRows:
-    """Some agents' columns, as they stand in a message.
-
-    Attributes:
-        ids: (n,) int32.
-        rewards: (n,) float32.
-        done: (n,) bool.
-        interrupted: (n,) bool, ``max_step_reached``.
-        observations: (n, size) float32.
-    """
-
-    ids: NDArray[np.int32]
-    rewards: NDArray[np.float32]
-    done: NDArray[np.bool_]
-    interrupted: NDArray[np.bool_]
-    observations: NDArray[np.float32]
 
 
 class _Rows:
@@ -125,13 +106,13 @@ def _field(tag: bytes, payload: bytes) -> bytes:
     return tag + varint(len(payload)) + payload
 
 
-def write_output(behavior: str, name: str, agents: AgentRows, side_channel: bytes) -> bytes:
+def write_output(behavior: str, name: str, agents: Agents, side_channel: bytes) -> bytes:
     """A player's message with one vector observation an agent.
 
     Args:
         behavior: The behavior's full name.
         name: The observation's.
-        agents: In the order in which they are to be read.
+        agents: In the order in which they are to be read; pictures of theirs don't travel this way.
         side_channel: Bytes beside them.
     """
     layout = _agent_rows(agents.observations.shape[1], name)
@@ -146,7 +127,7 @@ def write_output(behavior: str, name: str, agents: AgentRows, side_channel: byte
     return HEADER_OK + _field(FIELD_2, _field(FIELD_1, rl_output))
 
 
-def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[AgentRows, bytes] | None:
+def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agents, bytes] | None:
     """The agents and side-channel bytes of a message that ``write_output`` might have written; None for any other."""
     found = _find_rows(data, FIELD_2, FIELD_2, FIELD_3, behavior)
     rows = None if found is None else _agent_rows(size, name).read(data, *found[:2])
@@ -157,7 +138,7 @@ def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agent
         return None
     ids = ((groups & 0x7F) << _SHIFTS).sum(axis=1, dtype=np.int32)
     reward, observation = rows["reward"].copy(), rows["observation"].copy()
-    agents = AgentRows(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), observation)
+    agents = Agents(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), observation)
     return agents, found[2]
 
 
@@ -191,7 +172,7 @@ def _find_rows(
 
     Both directions have one form: header, then {direction {field 1 {map {behavior: rows}, side channel}}}.
     """
-    reader = _Reader(data)
+    reader = _MessageWalker(data)
     reader.expect(HEADER_OK)
     reader.enter(direction)
     reader.enter(FIELD_1)
@@ -205,7 +186,7 @@ def _find_rows(
     return start, end, beside
 
 
-class _Reader:
+class _MessageWalker:
     """Walks through a message that is expected to have one form; ``failed`` if it has another."""
 
     def __init__(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""ML-Agents side channels: bytes that travel beside agents and actions, and what the corridor makes of them.
+"""ML-Agents side channels: bytes that travel beside agents and actions, and what they mean.
 
 A buffer is a run of [16-byte GUID, little-endian][int32 length][payload]; a string is [int32 length][UTF-8 bytes], a
 list of floats is [int32 count][float32 each]; everything is little-endian.
@@ -7,13 +7,12 @@ list of floats is [int32 count][float32 each]; everything is little-endian.
 import hashlib
 import struct
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from corridor_server.corridor.areas import Batch
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 
 ENGINE_CONFIGURATION = uuid.UUID("e951342c-4f7e-11ea-b238-784f4387d1f7")
@@ -74,7 +73,7 @@ def read_environment_parameter(payload: bytes) -> tuple[str, Value]:
     Raises:
         SideChannelError: The payload is too short or holds an unknown kind.
     """
-    reader = _Reader(payload)
+    reader = _PayloadReader(payload)
     name = reader.string()
     kind = reader.int32()
     if kind == FLOAT:
@@ -102,7 +101,7 @@ def read_engine_setting(payload: bytes) -> str:
     Raises:
         SideChannelError: The payload is too short or holds an unknown setting.
     """
-    reader = _Reader(payload)
+    reader = _PayloadReader(payload)
     setting = reader.int32()
     if setting not in ENGINE_SETTINGS:
         raise SideChannelError(f"Engine setting {setting} is not known; 0 to 4 was expected.")
@@ -110,19 +109,19 @@ def read_engine_setting(payload: bytes) -> str:
     return f"{name} {' x '.join(f'{value:g}' for value in reader.unpack(layout))}"
 
 
-def write_statistics(batch: Batch) -> bytes:
-    """The statistics of every episode that ended in this batch, one episode after another in the batch's order."""
+def write_statistics(statistics: Mapping[str, NDArray[np.float64]]) -> bytes:
+    """Statistics of episodes that ended, by name, (n,) each: one episode after another, in the order of the rows."""
     messages = []
-    for row in range(len(batch.ended.ids)):
-        for name, values in batch.statistics.items():
-            key = f"Corridor/{name}".encode()
-            payload = struct.pack("<i", len(key)) + key + struct.pack("<fi", values[row], AVERAGE)
+    for values in zip(*statistics.values(), strict=True):
+        for name, value in zip(statistics, values, strict=True):
+            key = name.encode()
+            payload = struct.pack("<i", len(key)) + key + struct.pack("<fi", value, AVERAGE)
             messages.append(message(STATISTICS, payload))
     return b"".join(messages)
 
 
 def write_state(rows: NDArray[np.void]) -> bytes:
-    """The message with ``Areas.snapshot``: a digest of the names and types of its columns, then its rows."""
+    """The message with the areas' state, a row each: a digest of its columns' names and types, then the rows."""
     return message(AREA_STATE, _layout(rows.dtype) + rows.tobytes())
 
 
@@ -150,7 +149,7 @@ def _layout(columns: np.dtype[np.void]) -> bytes:
     return hashlib.sha256(repr(columns.descr).encode()).digest()
 
 
-class _Reader:
+class _PayloadReader:
     def __init__(self, payload: bytes) -> None:
         self._payload = payload
         self._offset = 0

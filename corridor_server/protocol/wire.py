@@ -12,9 +12,8 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from corridor_server.corridor.areas import Agents, Batch
-from corridor_server.corridor.world import ACTION_SIZE
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import (
     API_VERSION,
     OK,
@@ -26,7 +25,6 @@ from corridor_server.protocol.messages import (
     UnityMessageProto,
 )
 
-BEHAVIOR = "Corridor?team=0"
 CONTINUOUS = 1  # SpaceTypeProto
 # DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are.
 NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE = 1, 2
@@ -54,7 +52,8 @@ class Command:
     Attributes:
         number: STEP, RESET or QUIT; QUIT also for a status other than 200.
         side_channel: Bytes for the side channels, to be applied first.
-        actions: Of a STEP, (n, 2) float32 for the agents that asked, as received: clipping is the world's.
+        actions: Of a STEP, (n, continuous actions) float32 for the agents that asked, as received: clipping is the
+            world's.
     """
 
     number: int
@@ -66,12 +65,12 @@ class WireError(ValueError):
     """A message from the trainer that can't be used."""
 
 
-def hello(package_version: str) -> bytes:
-    """The player's first message (RL_INITIALIZATION_OUTPUT)."""
+def hello(academy: str, package_version: str) -> bytes:
+    """The player's first message (RL_INITIALIZATION_OUTPUT): what plays, and from which package."""
     message = UnityMessageProto()
     message.header.status = OK
     output = message.unity_output.rl_initialization_output
-    output.name = "Corridor"
+    output.name = academy
     output.communication_version = API_VERSION
     output.package_version = package_version
     output.capabilities.baseRLCapabilities = True
@@ -97,33 +96,31 @@ def farewell() -> bytes:
     return _bytes(message)
 
 
-def output(batch: Batch, side_channel: bytes, introduce: bool, camera: Camera | None = None) -> bytes:
-    """A batch of agents, ended ones first.
+def output(
+    behavior: Behavior, agents: Agents, side_channel: bytes, introduce: bool, camera: Camera | None = None
+) -> bytes:
+    """A batch of agents.
 
     Args:
-        batch: Agents.
+        behavior: Theirs.
+        agents: In the order in which they are to be read.
         side_channel: Bytes for the trainer's side channels.
         introduce: Whether the behavior's parameters come along, as they do the first time that it has agents.
-        camera: How the batch's pictures travel, if it has any.
+        camera: How the agents' pictures travel, if they have any.
     """
-    if not introduce and batch.deciding.images is None:
-        return columnar.write_output(BEHAVIOR, _vector_name(batch), _rows(batch), side_channel)
+    if not introduce and agents.images is None:
+        return columnar.write_output(behavior.name, behavior.observation, agents, side_channel)
     message = UnityMessageProto()
     message.header.status = OK
     rl_output = message.unity_output.rl_output
-    infos = rl_output.agentInfos[BEHAVIOR].value
-    infos.extend(_agent_infos(batch.ended, camera))
-    for info, interrupted in zip(infos, batch.interrupted.tolist(), strict=True):
-        info.done = True
-        info.max_step_reached = interrupted
-    infos.extend(_agent_infos(batch.deciding, camera))
+    rl_output.agentInfos[behavior.name].value.extend(_agent_infos(behavior, agents, camera))
     rl_output.side_channel = side_channel
     if introduce:
         brain = message.unity_output.rl_initialization_output.brain_parameters.add()
-        brain.brain_name = BEHAVIOR
+        brain.brain_name = behavior.name
         brain.is_training = True
-        brain.action_spec.num_continuous_actions = ACTION_SIZE
-        brain.vector_action_size_deprecated.append(ACTION_SIZE)
+        brain.action_spec.num_continuous_actions = behavior.continuous_actions
+        brain.vector_action_size_deprecated.append(behavior.continuous_actions)
         brain.vector_action_space_type_deprecated = CONTINUOUS
     return _bytes(message)
 
@@ -138,20 +135,22 @@ def parameters(data: bytes) -> Any | None:
     return None if _ends(message) else message.unity_input.rl_initialization_input
 
 
-def command(data: bytes, count: int | None) -> Command:
+def command(data: bytes, behavior: Behavior, count: int | None) -> Command:
     """Reads a trainer's reply.
 
     Args:
         data: Its bytes.
+        behavior: Of the agents.
         count: Number of agents that asked for a decision; None before there are any, when no actions are read.
 
     Raises:
         WireError: No message, an unknown command, or actions that can't be used: another number or size than asked
             for, NaN or Inf.
     """
-    plain = None if count is None else columnar.read_step(data, BEHAVIOR, ACTION_SIZE)
+    size = behavior.continuous_actions
+    plain = None if count is None else columnar.read_step(data, behavior.name, size)
     if plain is not None and count is not None:
-        return Command(STEP, plain[1], _checked(plain[0], count))
+        return Command(STEP, plain[1], _checked(plain[0], behavior, count))
     message = _parse(data)
     if _ends(message):
         return Command(QUIT)
@@ -162,20 +161,20 @@ def command(data: bytes, count: int | None) -> Command:
         raise WireError(f"The trainer sent command {rl_input.command}; STEP, RESET or QUIT was expected.")
     if count is None:
         return Command(STEP, rl_input.side_channel)
-    received = rl_input.agent_actions[BEHAVIOR].value if BEHAVIOR in rl_input.agent_actions else ()
+    received = rl_input.agent_actions[behavior.name].value if behavior.name in rl_input.agent_actions else ()
     # Trainers from before version 1.3 of the protocol fill the deprecated field only.
     rows = [action.continuous_actions or action.vector_actions_deprecated for action in received]
     for row in rows:
-        if len(row) != ACTION_SIZE:
-            raise WireError(f"An action has {len(row)} continuous values, but {ACTION_SIZE} were expected.")
-    actions = np.array(rows, dtype=np.float32).reshape(len(rows), ACTION_SIZE)
-    return Command(STEP, rl_input.side_channel, _checked(actions, count))
+        if len(row) != size:
+            raise WireError(f"An action has {len(row)} continuous values, but {size} were expected.")
+    actions = np.array(rows, dtype=np.float32).reshape(len(rows), size)
+    return Command(STEP, rl_input.side_channel, _checked(actions, behavior, count))
 
 
-def _checked(actions: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _checked(actions: NDArray[np.float32], behavior: Behavior, count: int) -> NDArray[np.float32]:
     if len(actions) != count:
         raise WireError(
-            f"The trainer sent {len(actions)} actions for behavior {BEHAVIOR}, but {count} agents asked for one."
+            f"The trainer sent {len(actions)} actions for behavior {behavior.name}, but {count} agents asked for one."
         )
     finite = np.isfinite(actions).all(axis=1)
     if not finite.all():
@@ -205,36 +204,16 @@ def _bytes(message: Any) -> bytes:
     return data
 
 
-def _vector_name(batch: Batch) -> str:
-    return f"VectorSensor_size{batch.deciding.observations.shape[1]}"
-
-
-def _rows(batch: Batch) -> columnar.AgentRows:
-    ended, deciding = batch.ended, batch.deciding
-    done = np.zeros(len(ended.ids) + len(deciding.ids), dtype=np.bool_)
-    interrupted = np.zeros_like(done)
-    done[: len(ended.ids)] = True
-    interrupted[: len(ended.ids)] = batch.interrupted
-    return columnar.AgentRows(
-        np.concatenate([ended.ids, deciding.ids]),
-        np.concatenate([ended.rewards, deciding.rewards]),
-        done,
-        interrupted,
-        np.concatenate([ended.observations, deciding.observations]),
-    )
-
-
-def _agent_infos(agents: Agents, camera: Camera | None) -> list[Any]:
+def _agent_infos(behavior: Behavior, agents: Agents, camera: Camera | None) -> list[Any]:
     infos = []
     size = agents.observations.shape[1]
-    rows = zip(agents.ids.tolist(), agents.rewards.tolist(), agents.observations.tolist(), strict=True)
-    for row, (agent_id, reward, floats) in enumerate(rows):
-        info = AgentInfoProto(id=agent_id, reward=reward)
+    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for row, (agent_id, reward, done, interrupted, floats) in enumerate(rows):
+        info = AgentInfoProto(id=agent_id, reward=reward, done=done, max_step_reached=interrupted)
         if agents.images is not None:  # sensors go by name, and C stands before V
             _add_picture(info, agents.images[row], camera or Camera())
-        observation = info.observations.add(
-            name=f"VectorSensor_size{size}", shape=[size], dimension_properties=[NO_PROPERTY]
-        )
+        observation = info.observations.add(name=behavior.observation, shape=[size], dimension_properties=[NO_PROPERTY])
         observation.float_data.data.extend(floats)
         infos.append(info)
     return infos

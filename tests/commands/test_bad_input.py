@@ -132,8 +132,8 @@ sys.exit(main())
 
 def test_a_wrong_action_size_says_what_was_expected_and_what_came(tmp_path, free_port):
     body = """
-import corridor_server.protocol.wire as wire
-wire.ACTION_SIZE = 3
+import corridor_server.corridor.world as world
+world.ACTION_SIZE = 3
 from corridor_server.main import main
 sys.exit(main())
 """
@@ -183,11 +183,11 @@ MID_RUN = """
 import numpy as np
 import corridor_server.protocol.wire as wire
 output, count = wire.output, []
-def output_going_bad(batch, side_channel, introduce, camera=None):
+def output_going_bad(behavior, agents, *rest):
     count.append(1)
     if len(count) == 30:
         {fault}
-    return output(batch, side_channel, introduce, camera)
+    return output(behavior, agents, *rest)
 wire.output = output_going_bad
 from corridor_server.main import main
 sys.exit(main())
@@ -203,14 +203,14 @@ sys.exit(main())
             "The player sent 6 bytes that are not a message",
         ),
         (
-            "batch.deciding.observations[3, 2] = np.nan",
+            "agents.deciding.observations[3, 2] = np.nan",
             "After step [0-9,]+: The player sent observation\\[2\\] = nan of agent [0-9]+ in area 3, but",
         ),
         (
-            "batch.deciding.rewards[0] = np.inf",
+            "agents.deciding.rewards[0] = np.inf",
             "After step [0-9,]+: The player sent reward = inf of agent [0-9]+ in area 0, but",
         ),
-        ("batch.deciding.ids[:] = 7", "1 of 8 agents asked for a decision, 0 of them new while 0 ended"),
+        ("agents.deciding.ids[:] = 7", "1 of 8 agents asked for a decision, 0 of them new while 0 ended"),
     ],
 )
 def test_a_player_that_goes_bad_in_mid_run_is_named_and_the_runs_data_kept(tmp_path, free_port, fault, says):

@@ -44,7 +44,7 @@ areas.Areas._begin = begin_with_old_ids
     "swapped action order": (
         conformance.CorridorContract,
         "each_action_reaches_the_agent_that_asked_in_that_place",
-        "checked = wire._checked\nwire._checked = lambda actions, count: checked(actions, count)[::-1]",
+        "checked = wire._checked\nwire._checked = lambda actions, *rest: checked(actions, *rest)[::-1]",
     ),
     "reward not reset": (
         conformance.CorridorContract,
@@ -63,9 +63,8 @@ world.step = step_adding_up
         "an_agent_keeps_its_id_until_it_has_ended",
         """
 output = wire.output
-nobody = np.zeros(0, dtype=np.intp)
-def output_of_the_living(batch, *rest):
-    return output(areas.Batch(batch.deciding, batch.ended.rows(nobody), batch.interrupted[:0], {}), *rest)
+def output_of_the_living(behavior, agents, *rest):
+    return output(behavior, agents.deciding, *rest)
 wire.output = output_of_the_living
 """,
     ),
@@ -74,9 +73,9 @@ wire.output = output_of_the_living
         "a_failed_episode_pays_the_penalty_with_its_last_reward",
         """
 output = wire.output
-def output_without_last_rewards(batch, *rest):
-    batch.ended.rewards[:] = 0
-    return output(batch, *rest)
+def output_without_last_rewards(behavior, agents, *rest):
+    agents.rewards[agents.done] = 0
+    return output(behavior, agents, *rest)
 wire.output = output_without_last_rewards
 """,
     ),
@@ -85,9 +84,9 @@ wire.output = output_without_last_rewards
         "every_behavior_is_introduced_in_the_message_that_has_its_first_agents",
         """
 output, sent = wire.output, []
-def output_introducing_late(batch, side_channel, introduce, camera):
-    sent.append(batch)
-    return output(batch, side_channel, len(sent) == 2, camera)
+def output_introducing_late(behavior, agents, side_channel, introduce, camera):
+    sent.append(agents)
+    return output(behavior, agents, side_channel, len(sent) == 2, camera)
 wire.output = output_introducing_late
 """,
     ),
@@ -96,9 +95,9 @@ wire.output = output_introducing_late
         "observations_have_as_many_values_as_their_shape_says",
         """
 output = wire.output
-def output_with_another_shape(*arguments):
-    message = wire.UnityMessageProto.FromString(output(*arguments))
-    for info in message.unity_output.rl_output.agentInfos[wire.BEHAVIOR].value:
+def output_with_another_shape(behavior, *rest):
+    message = wire.UnityMessageProto.FromString(output(behavior, *rest))
+    for info in message.unity_output.rl_output.agentInfos[behavior.name].value:
         info.observations[0].shape[0] += 1
     return message.SerializeToString()
 wire.output = output_with_another_shape
@@ -121,10 +120,10 @@ wire.output = output_with_another_shape
 reset = areas.Areas.reset
 def reset_showing_the_past(self):
     past = world.observation(self.parameters.columns, self.state)
-    batch = reset(self)
+    agents = reset(self)
     if past.any():
-        batch.deciding.observations[:] = past
-    return batch
+        agents.observations[:] = past
+    return agents
 areas.Areas.reset = reset_showing_the_past
 """,
     ),

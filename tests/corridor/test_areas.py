@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from corridor_server.corridor import observation as layout
 from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
@@ -16,52 +17,72 @@ def areas(count: int = 3, **config: float) -> Areas:
 
 def test_every_episode_has_an_id_of_its_own():
     corridor = areas(max_episode_steps=4)
-    seen = list(corridor.reset().deciding.ids)
+    seen = list(corridor.reset().ids)
     for _ in range(20):
-        batch = corridor.step(IDLE)
-        if len(batch.ended.ids):
-            seen += list(batch.deciding.ids)
+        agents, _ = corridor.step(IDLE)
+        if len(agents.ended):
+            seen += list(agents.deciding.ids)
     assert len(seen) == len(set(seen)) == 18
 
 
 def test_an_ended_agent_and_its_successor_come_in_one_batch():
     corridor = areas(max_episode_steps=1)
     first = corridor.reset()
-    batch = corridor.step(IDLE)
-    assert np.array_equal(batch.ended.ids, first.deciding.ids)
-    assert batch.interrupted.all()
-    assert not set(batch.ended.ids) & set(batch.deciding.ids)
-    assert (batch.deciding.rewards == 0).all()
-    assert np.allclose(batch.ended.rewards, -0.001)
-    assert not np.array_equal(batch.ended.observations, batch.deciding.observations)
+    agents, _ = corridor.step(IDLE)
+    assert agents.done.tolist() == [True] * 3 + [False] * 3
+    assert np.array_equal(agents.ended.ids, first.ids)
+    assert agents.ended.interrupted.all()
+    assert not agents.deciding.interrupted.any()
+    assert not set(agents.ended.ids) & set(agents.deciding.ids)
+    assert (agents.deciding.rewards == 0).all()
+    assert np.allclose(agents.ended.rewards, -0.001)
+    assert not np.array_equal(agents.ended.observations, agents.deciding.observations)
+
+
+def test_only_the_ended_agents_successor_is_new_and_every_area_keeps_its_place():
+    corridor = areas(max_episode_steps=4)
+    first = corridor.reset()
+    corridor.step(IDLE)
+    last, _ = corridor.step(IDLE)
+    corridor.state.episode_steps[1] = 3
+    agents, _ = corridor.step(IDLE)
+    assert agents.done.tolist() == [True, False, False, False]
+    assert agents.ids[0] == first.ids[1]
+    assert agents.deciding.ids.tolist() == [first.ids[0], max(first.ids) + 1, first.ids[2]]
+    assert agents.deciding.rewards[1] == 0.0
+    assert (agents.deciding.rewards[[0, 2]] != 0.0).all()
+    unmoved = layout.POSITION, layout.GOAL
+    for part in unmoved:
+        assert np.array_equal(agents.deciding.observations[[0, 2], part], last.observations[[0, 2], part])
+        assert np.array_equal(agents.ended.observations[0, part], last.observations[1, part])
 
 
 def test_statistics_come_with_every_end_and_only_then():
     corridor = areas(max_episode_steps=2)
     corridor.reset()
-    assert corridor.step(IDLE).statistics == {}
-    statistics = corridor.step(IDLE).statistics
-    assert list(statistics["Episode Length"]) == [2, 2, 2]
-    assert list(statistics["Success"]) == [0, 0, 0]
+    assert corridor.step(IDLE)[1] == {}
+    _, statistics = corridor.step(IDLE)
+    assert list(statistics["Corridor/Episode Length"]) == [2, 2, 2]
+    assert list(statistics["Corridor/Success"]) == [0, 0, 0]
 
 
 def test_a_reset_in_mid_episode_begins_new_episodes():
     corridor = areas()
-    first = corridor.reset().deciding
+    first = corridor.reset()
     corridor.step(IDLE)
-    assert not np.array_equal(corridor.reset().deciding.observations, first.observations)
+    assert not np.array_equal(corridor.reset().observations, first.observations)
 
 
 def test_two_resets_begin_two_episodes():
     corridor = areas()
-    assert not np.array_equal(corridor.reset().deciding.observations, corridor.reset().deciding.observations)
+    assert not np.array_equal(corridor.reset().observations, corridor.reset().observations)
 
 
 def test_a_reset_after_an_end_keeps_the_episode_that_already_began():
     corridor = areas(max_episode_steps=1)
     corridor.reset()
-    begun = corridor.step(IDLE).deciding
-    again = corridor.reset().deciding
+    begun = corridor.step(IDLE)[0].deciding
+    again = corridor.reset()
     assert np.array_equal(begun.ids, again.ids)
     assert np.array_equal(begun.observations, again.observations)
 
@@ -70,8 +91,8 @@ def test_a_parameter_takes_effect_at_the_next_episode():
     corridor = areas(max_episode_steps=2)
     corridor.reset()
     corridor.set_parameter("goal_x", 5.0)
-    assert corridor.step(IDLE).deciding.observations[:, 4] == pytest.approx(0.9)
-    assert corridor.step(IDLE).deciding.observations[:, 4] == pytest.approx(0.5)
+    assert corridor.step(IDLE)[0].deciding.observations[:, 4] == pytest.approx(0.9)
+    assert corridor.step(IDLE)[0].deciding.observations[:, 4] == pytest.approx(0.5)
 
 
 def test_a_parameter_set_after_an_end_reaches_the_next_reset():
@@ -79,24 +100,24 @@ def test_a_parameter_set_after_an_end_reaches_the_next_reset():
     corridor.reset()
     corridor.step(IDLE)
     corridor.set_parameter("goal_x", 5.0)
-    assert corridor.reset().deciding.observations[:, 4] == pytest.approx(0.5)
+    assert corridor.reset().observations[:, 4] == pytest.approx(0.5)
 
 
 def test_a_parameter_that_is_set_again_to_the_same_changes_nothing():
     corridor = areas(max_episode_steps=1)
     corridor.set_parameter("goal_x", 5.0)
     corridor.reset()
-    begun = corridor.step(IDLE).deciding
+    begun = corridor.step(IDLE)[0].deciding
     corridor.set_parameter("goal_x", 5.0)
-    assert np.array_equal(corridor.reset().deciding.ids, begun.ids)
+    assert np.array_equal(corridor.reset().ids, begun.ids)
 
 
 def test_a_ranges_own_name_sets_both_its_ends():
     corridor = areas()
     corridor.set_parameter("agent_spawn_x", -3.5)
-    assert corridor.reset().deciding.observations[:, 0] == pytest.approx(-0.35)
+    assert corridor.reset().observations[:, 0] == pytest.approx(-0.35)
     corridor.set_parameter("agent_spawn_x_max", -1.0)
-    assert len(set(corridor.reset().deciding.observations[:, 0])) == 3
+    assert len(set(corridor.reset().observations[:, 0])) == 3
 
 
 @pytest.mark.parametrize(
@@ -110,7 +131,7 @@ def test_a_ranges_own_name_sets_both_its_ends():
 def test_samplers_draw_anew_for_every_episode_and_area(sampler, low, high):
     corridor = areas(50)
     corridor.set_parameter("goal_x", sampler)
-    drawn = np.concatenate([corridor.reset().deciding.observations[:, 4] for _ in range(4)])
+    drawn = np.concatenate([corridor.reset().observations[:, 4] for _ in range(4)])
     assert len(set(drawn)) == 200
     assert low <= drawn.min() < drawn.max() <= high
     if isinstance(sampler, MultiRangeUniform):

@@ -153,8 +153,8 @@ from corridor_server.protocol import columnar
 columnar.read_step = lambda *arguments: None  # reads as protobuf does
 import corridor_server.protocol.wire as wire
 output = wire.output
-def as_protobuf_writes(batch, side_channel, introduce, camera=None):
-    message = wire.UnityMessageProto.FromString(output(batch, side_channel, introduce, camera))
+def as_protobuf_writes(*arguments):
+    message = wire.UnityMessageProto.FromString(output(*arguments))
     return message.SerializeToString()
 wire.output = as_protobuf_writes
 from corridor_server.main import main

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import AgentInfoProto, UnityMessageProto
 from corridor_server.protocol.trainer_messages import command, step
 
@@ -16,9 +17,9 @@ IDS = st.one_of(st.integers(0, 300), st.integers(0, 2**31 - 1))
 
 
 @st.composite
-def agent_rows(draw: st.DrawFn) -> columnar.AgentRows:
+def agent_rows(draw: st.DrawFn) -> Agents:
     count = draw(st.integers(0, 12))
-    return columnar.AgentRows(
+    return Agents(
         draw(arrays.arrays(np.int32, count, elements=IDS)),
         draw(arrays.arrays(np.float32, count, elements=FLOATS)),
         draw(arrays.arrays(np.bool_, count)),
@@ -27,11 +28,11 @@ def agent_rows(draw: st.DrawFn) -> columnar.AgentRows:
     )
 
 
-def parsed(data: bytes) -> columnar.AgentRows:
+def parsed(data: bytes) -> Agents:
     """What protobuf makes of a message."""
     infos = UnityMessageProto.FromString(data).unity_output.rl_output.agentInfos[BEHAVIOR].value
     rows = [list(info.observations[0].float_data.data) for info in infos]
-    return columnar.AgentRows(
+    return Agents(
         np.array([info.id for info in infos], np.int32),
         np.array([info.reward for info in infos], np.float32),
         np.array([info.done for info in infos], np.bool_),
@@ -40,7 +41,7 @@ def parsed(data: bytes) -> columnar.AgentRows:
     )
 
 
-def same(one: columnar.AgentRows, other: columnar.AgentRows) -> bool:
+def same(one: Agents, other: Agents) -> bool:
     columns = ("ids", "rewards", "done", "interrupted", "observations")
     return all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name not in columns[:1]) for name in columns
@@ -111,7 +112,7 @@ UNUSUAL = {
 
 @pytest.mark.parametrize("change", UNUSUAL)
 def test_any_other_message_is_left_to_the_parser(change):
-    rows = columnar.AgentRows(
+    rows = Agents(
         np.array([1, 2], np.int32),
         np.zeros(2, np.float32),
         np.zeros(2, bool),

@@ -54,13 +54,13 @@ def test_engine_settings_are_read():
 def test_statistics_arrive_at_mlagents_envs_one_value_for_each_episode():
     corridor = Areas(CorridorConfig(max_episode_steps=1), 0, range(3))
     corridor.reset()
-    batch = corridor.step(np.zeros((3, 2), np.float32))
+    _, statistics = corridor.step(np.zeros((3, 2), np.float32))
     channel = StatsSideChannel()
-    SideChannelManager([channel]).process_side_channel_message(side_channels.write_statistics(batch))
+    SideChannelManager([channel]).process_side_channel_message(side_channels.write_statistics(statistics))
     received = channel.get_and_reset_stats()
     assert [value for value, _ in received["Corridor/Episode Length"]] == [1, 1, 1]
     closest = [value for value, _ in received["Corridor/Closest Approach"]]
-    assert closest == pytest.approx(list(batch.statistics["Closest Approach"]))
+    assert closest == pytest.approx(list(statistics["Corridor/Closest Approach"]))
 
 
 FLOATS = st.floats(-1e6, 1e6).map(lambda value: struct.unpack("<f", struct.pack("<f", value))[0])

@@ -14,8 +14,8 @@ from hypothesis.extra import numpy as arrays
 from mlagents_envs.rpc_utils import behavior_spec_from_proto, steps_from_proto
 from PIL import Image
 
-from corridor_server.corridor.areas import Agents, Batch
 from corridor_server.protocol import side_channels, wire
+from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import STEP, UnityMessageProto
 from corridor_server.protocol.trainer_messages import step
 from trainer.conformance.channels import environment_parameter
@@ -27,33 +27,39 @@ FLOATS = st.floats(-(2.0**99), 2.0**99, width=32)
 IDS = st.integers(1, 2**31 - 1)
 
 
+BEHAVIOR = Behavior("Corridor?team=0", 2, "VectorSensor_size13")
+
+
 @st.composite
-def batches(draw: st.DrawFn) -> Batch:
-    count, size = draw(st.integers(1, 6)), 13
+def batches(draw: st.DrawFn) -> Agents:
+    count = draw(st.integers(1, 12))
     ended = draw(st.integers(0, count))
-
-    def agents(number: int) -> Agents:
-        ids = draw(arrays.arrays(np.int32, number, elements=IDS))
-        observations = draw(arrays.arrays(np.float32, (number, size), elements=FLOATS))
-        return Agents(ids, observations, draw(arrays.arrays(np.float32, number, elements=FLOATS)))
-
-    return Batch(agents(count), agents(ended), draw(arrays.arrays(np.bool_, ended)), {})
+    interrupted = draw(arrays.arrays(np.bool_, ended))
+    return Agents(
+        draw(arrays.arrays(np.int32, count, elements=IDS)),
+        draw(arrays.arrays(np.float32, count, elements=FLOATS)),
+        np.arange(count) < ended,
+        np.concatenate([interrupted, np.zeros(count - ended, np.bool_)]),
+        draw(arrays.arrays(np.float32, (count, 13), elements=FLOATS)),
+    )
 
 
 @given(batches())
 def test_mlagents_envs_reads_the_batch_that_was_written(batch):
     """By the parser as the first message, and by columns as every later one."""
-    introduction = UnityMessageProto.FromString(wire.output(batch, b"", introduce=True)).unity_output
-    later = UnityMessageProto.FromString(wire.output(batch, b"", introduce=False)).unity_output
+    introduction = UnityMessageProto.FromString(wire.output(BEHAVIOR, batch, b"", introduce=True)).unity_output
+    later = UnityMessageProto.FromString(wire.output(BEHAVIOR, batch, b"", introduce=False)).unity_output
     assert later.rl_output == introduction.rl_output
-    infos = later.rl_output.agentInfos[wire.BEHAVIOR].value
+    infos = later.rl_output.agentInfos[BEHAVIOR.name].value
     spec = behavior_spec_from_proto(introduction.rl_initialization_output.brain_parameters[0], infos[0])
+    assert spec.action_spec.continuous_size == BEHAVIOR.continuous_actions
+    assert [observation.name for observation in spec.observation_specs] == [BEHAVIOR.observation]
     decision, terminal = steps_from_proto(infos, spec)
     for read, written in ((decision, batch.deciding), (terminal, batch.ended)):
         assert np.array_equal(read.agent_id, written.ids)
         assert np.array_equal(read.reward, written.rewards)
         assert np.array_equal(read.obs[0], written.observations)
-    assert np.array_equal(terminal.interrupted, batch.interrupted)
+    assert np.array_equal(terminal.interrupted, batch.ended.interrupted)
 
 
 @given(
@@ -61,8 +67,8 @@ def test_mlagents_envs_reads_the_batch_that_was_written(batch):
     st.booleans(),
 )
 def test_actions_are_read_as_they_were_sent(actions, deprecated):
-    message = step({wire.BEHAVIOR: actions.tolist()}, deprecated=deprecated)
-    read = wire.command(message.SerializeToString(), len(actions))
+    message = step({BEHAVIOR.name: actions.tolist()}, deprecated=deprecated)
+    read = wire.command(message.SerializeToString(), BEHAVIOR, len(actions))
     assert read.number == STEP
     assert np.array_equal(read.actions, actions)
 
@@ -75,7 +81,7 @@ def test_a_png_holds_the_picture(image):
 
 @given(batches(), st.binary(max_size=30))
 def test_side_channel_bytes_travel_beside_the_agents(batch, buffer):
-    data = wire.output(batch, buffer, introduce=False)
+    data = wire.output(BEHAVIOR, batch, buffer, introduce=False)
     assert UnityMessageProto.FromString(data).unity_output.rl_output.side_channel == buffer
 
 
@@ -88,7 +94,7 @@ def test_any_bytes_are_a_message_or_refused(data):
 def read(data: bytes) -> str:
     """All that the player reads of a reply; returns what came of it."""
     try:
-        command = wire.command(data, 2)
+        command = wire.command(data, BEHAVIOR, 2)
         for channel, payload in side_channels.split(command.side_channel):
             if channel == side_channels.ENVIRONMENT_PARAMETERS:
                 side_channels.read_environment_parameter(payload)
@@ -102,7 +108,7 @@ def read(data: bytes) -> str:
 @pytest.mark.slow
 def test_a_hundred_thousand_mutated_messages_neither_crash_nor_grow():
     whole = step(
-        {wire.BEHAVIOR: [[0.5, -0.5], [1.0, 0.25]]},
+        {BEHAVIOR.name: [[0.5, -0.5], [1.0, 0.25]]},
         environment_parameter("goal_x", 3.0)
         + side_channels.message(side_channels.ENGINE_CONFIGURATION, b"\2\0\0\0\0\0\0\0"),
     ).SerializeToString()
@@ -146,4 +152,4 @@ def test_a_recorded_conversation_is_repeated_to_the_byte():
 
 def _infos(conversation: list[list[str]]) -> list[object]:
     messages = [UnityMessageProto.FromString(base64.b64decode(data)) for who, data in conversation if who == "player"]
-    return [info for each in messages for info in each.unity_output.rl_output.agentInfos[wire.BEHAVIOR].value]
+    return [info for each in messages for info in each.unity_output.rl_output.agentInfos[BEHAVIOR.name].value]

@@ -10,11 +10,11 @@ import numpy as np
 from mlagents_envs.base_env import ActionTuple
 from mlagents_envs.environment import UnityEnvironment
 
-from corridor_server.corridor.areas import Areas
+from corridor_server.corridor.areas import BEHAVIOR, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import EXCHANGE
-from corridor_server.protocol.wire import BEHAVIOR
 from trainer.bench.bare_server import serve
 from trainer.bench.instant_trainer import instant_trainer
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
@@ -88,9 +88,10 @@ def _rate(environment: UnityEnvironment, areas: int, seconds: float) -> float:
 @contextmanager
 def _echo(areas: int) -> Iterator[MeasuringProcess]:
     """A bare gRPC server that answers as many bytes as a STEP has, and a client that sends as many as a batch has."""
-    flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, 13), np.float32)
-    rows = columnar.AgentRows(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
-    request = len(columnar.write_output(BEHAVIOR, "VectorSensor_size13", rows, b""))
+    size = CorridorConfig().observation_size
+    flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, size), np.float32)
+    agents = Agents(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
+    request = len(columnar.write_output(BEHAVIOR, f"VectorSensor_size{size}", agents, b""))
     reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
     server, port = serve(lambda data, context: reply)
     try:

@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 from mlagents_envs.base_env import ActionTuple
 
-from corridor_server.protocol.wire import BEHAVIOR
+from corridor_server.corridor.areas import BEHAVIOR
 from trainer.bench.our_player import our_client, player_path
 from trainer.bench.workload import Workload
 

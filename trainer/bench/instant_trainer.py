@@ -10,10 +10,10 @@ from functools import partial
 import grpc
 import numpy as np
 
+from corridor_server.corridor.areas import BEHAVIOR
 from corridor_server.protocol import columnar
 from corridor_server.protocol.messages import RESET
 from corridor_server.protocol.trainer_messages import command, initialization, stopping
-from corridor_server.protocol.wire import BEHAVIOR
 from trainer.bench.bare_server import serve
 from trainer.bench.our_player import player_path
 from trainer.errors import TrainerError

@@ -12,7 +12,8 @@ from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityException
 
-from corridor_server.protocol.columnar import AgentRows, read_output, write_step
+from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.columnar import read_output, write_step
 from trainer.players.communicator import ExchangeCommunicator, parse, serialise
 from trainer.players.failures import BadNumbers
 from trainer.players.location import LOOPBACK
@@ -163,29 +164,24 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
     return _Plain(name, observations[0].name, int(observations[0].shape[0]))
 
 
-def _steps(agents: AgentRows) -> tuple[DecisionSteps, TerminalSteps]:
+def _steps(agents: Agents) -> tuple[DecisionSteps, TerminalSteps]:
     for values, field in ((agents.observations, "observation"), (agents.rewards, "reward")):
         finite = np.isfinite(values)
         if not finite.all():
             row, *component = np.argwhere(~finite)[0].tolist()
             raise BadNumbers(f"{field}{component or ''}", float(values[row, *component]), int(agents.ids[row]))
-    if not agents.done.any():
-        nobody = agents.done.nonzero()[0]
-        return _decision(agents, slice(None)), _terminal(agents, nobody)
-    return _decision(agents, (~agents.done).nonzero()[0]), _terminal(agents, agents.done.nonzero()[0])
+    return _decision(agents.deciding), _terminal(agents.ended)
 
 
-def _decision(agents: AgentRows, rows: Any) -> DecisionSteps:
-    ids = agents.ids[rows]
-    none = np.zeros(len(ids), dtype=np.float32)
-    return DecisionSteps([agents.observations[rows]], agents.rewards[rows], ids, None, [0] * len(ids), none)
+def _decision(agents: Agents) -> DecisionSteps:
+    none = np.zeros(len(agents), dtype=np.float32)
+    return DecisionSteps([agents.observations], agents.rewards, agents.ids, None, [0] * len(agents), none)
 
 
-def _terminal(agents: AgentRows, rows: Any) -> TerminalSteps:
-    ids = agents.ids[rows]
-    none = np.zeros(len(ids), dtype=np.float32)
-    observations, rewards, interrupted = agents.observations[rows], agents.rewards[rows], agents.interrupted[rows]
-    return TerminalSteps([observations], rewards, interrupted, ids, [0] * len(ids), none)
+def _terminal(agents: Agents) -> TerminalSteps:
+    none = np.zeros(len(agents), dtype=np.float32)
+    observations, groups = [agents.observations], [0] * len(agents)
+    return TerminalSteps(observations, agents.rewards, agents.interrupted, agents.ids, groups, none)
 
 
 class TwoHalves(Protocol):

@@ -11,7 +11,7 @@ from rich.console import Console
 from trainer.config import PresetName
 from trainer.runs.folder import machine, versions
 from trainer.studies.display import StudyDisplay
-from trainer.studies.executors import Executor, Outcome, Task
+from trainer.studies.executors import Executor, RunOutcome, Task
 from trainer.studies.plan import Study
 from trainer.studies.report import Facts, Report
 from trainer.studies.store import Store
@@ -57,7 +57,7 @@ def run_study(
     missing = [config for config in configs if store.find(config, study.name, episodes) is None]
     tasks = [Task(config, store.place, study.name, episodes, timeout_wait) for config in missing]
     started = time.monotonic()
-    ended: list[Outcome] = []
+    ended: list[RunOutcome] = []
     try:
         with (
             StudyDisplay(console, study.name, len(configs), len(missing), steps) as display,

@@ -46,7 +46,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """How a run ended.
 
     Attributes:
@@ -72,7 +72,7 @@ class Update:
 
     running: int
     steps: int
-    ended: tuple[Outcome, ...]
+    ended: tuple[RunOutcome, ...]
 
 
 class Executor(Protocol):
@@ -165,7 +165,7 @@ class Attempt:
         """Waits for the worker's end."""
         self._process.wait()
 
-    def publish(self) -> Outcome:
+    def publish(self) -> RunOutcome:
         """Puts what an ended worker left in the results place, and removes the scratch folder."""
         config, study = self.task.config, self.task.study
         store = Store(self.task.place)
@@ -178,12 +178,12 @@ class Attempt:
         try:
             store.publish_run(self._folder, config, study, self.task.episodes)
         except Exception as failure:  # every fsspec file system raises its own
-            return Outcome(
+            return RunOutcome(
                 config.run_id, f"its results can't be written to {self.task.place}: {failure}", str(self._log)
             )
         self._input.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
-        return Outcome(config.run_id, error, f"{store.place}/{study}/{config.run_id}/{LOG}")
+        return RunOutcome(config.run_id, error, f"{store.place}/{study}/{config.run_id}/{LOG}")
 
     def ask_to_stop(self) -> None:
         """Asks the worker for a clean stop."""

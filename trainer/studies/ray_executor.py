@@ -7,7 +7,7 @@ from typing import Any
 import grpc
 
 from trainer.errors import TrainerError
-from trainer.studies.executors import Attempt, Outcome, Task, Update
+from trainer.studies.executors import Attempt, RunOutcome, Task, Update
 from trainer.studies.store import Store
 
 RETRIES = 5
@@ -76,27 +76,27 @@ class RayExecutor:
             channel.close()
 
 
-def _execute(task: Task) -> Outcome:
+def _execute(task: Task) -> RunOutcome:
     store = Store(task.place)
     if (
         store.find(task.config, task.study, task.episodes) is not None
     ):  # published by an attempt whose node was lost just after
-        return Outcome(task.config.run_id, None, task.place)
+        return RunOutcome(task.config.run_id, None, task.place)
     attempt = Attempt(task)
     attempt.wait()
     return attempt.publish()
 
 
-def _outcome(reference: Any, task: Task) -> Outcome:
+def _outcome(reference: Any, task: Task) -> RunOutcome:
     import ray
 
     config = task.config
     try:
-        outcome: Outcome = ray.get(reference)
+        outcome: RunOutcome = ray.get(reference)
     except ray.exceptions.RayError as error:
-        return Outcome(config.run_id, f"Ray gave it up: {' '.join(str(error).split())[:300]}", "Ray's, on its node")
+        return RunOutcome(config.run_id, f"Ray gave it up: {' '.join(str(error).split())[:300]}", "Ray's, on its node")
     if outcome.error is None and Store(task.place).find(config, task.study, task.episodes) is None:
-        return Outcome(
+        return RunOutcome(
             config.run_id,
             f"its results did not arrive at {task.place}; the nodes need a shared folder, or a URL for --results-dir",
             outcome.log,

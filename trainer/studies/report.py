@@ -15,7 +15,7 @@ from rich.table import Table
 from trainer.studies import plots
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS
-from trainer.studies.executors import Outcome
+from trainer.studies.executors import RunOutcome
 from trainer.studies.plan import Study
 from trainer.studies.results import RunResult, scores, steps_to
 
@@ -80,7 +80,7 @@ class Report:
 
     study: Study
     runs: Mapping[str, Sequence[RunResult]]
-    failures: Sequence[Outcome]
+    failures: Sequence[RunOutcome]
     facts: Facts
 
     def claims(self) -> list[dict[str, Any]]:
@@ -303,7 +303,7 @@ def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(head)} |", "|---" * len(head) + "|", *(f"| {' | '.join(row)} |" for row in rest)]
 
 
-def _failure(outcome: Outcome) -> str:
+def _failure(outcome: RunOutcome) -> str:
     return f"{outcome.run_id}: {outcome.error} (log: {outcome.log})"
 
 
