@@ -276,7 +276,7 @@ class Preset:
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # One area, 128 steps and 4 minibatches an update, as the Stable Baselines release that the paper used; a sixteenth
+    # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
     # of fast's steps in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had
     # (docs/studies.md).
     "paper": Preset(

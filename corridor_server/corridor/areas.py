@@ -55,7 +55,7 @@ class Areas:
         return len(self._ids)
 
     def snapshot(self) -> NDArray[np.void]:
-        """All that decides what happens from here on: episodes, parameters and random streams, a row an area."""
+        """All that decides what happens from here on: episodes, parameters and random streams, a row per area."""
         columns: dict[str, NDArray[np.generic]] = {"id": self._ids, "stream": self._streams.words()}
         columns |= {each.name: getattr(self.state, each.name) for each in fields(self.state)}
         columns |= {f"parameter {name}": column for name, column in self.parameters.columns.items()}

@@ -15,7 +15,7 @@ def area_generator(seed: int, area: int) -> np.random.Generator:
 
 
 class Streams:
-    """One random stream an area.
+    """One random stream per area.
 
     Args:
         seed: Of them all.
@@ -34,7 +34,7 @@ class Streams:
 
     def words(self) -> NDArray[np.uint64]:
         """Every stream's state, (A, 6)."""
-        for row in np.flatnonzero(self._moved):  # few since the last time: a stream is drawn from once an episode
+        for row in np.flatnonzero(self._moved):  # few since the last time: a stream is drawn from once per episode
             state = self._generators[row].bit_generator.state
             numbers = state["state"]["state"], state["state"]["inc"]
             halves = [half for number in numbers for half in (number >> 64, number & LOW)]

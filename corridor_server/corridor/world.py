@@ -111,7 +111,7 @@ def initial(p: Parameters, num_opponents: int, generators: Sequence[np.random.Ge
     Starts and targets are drawn uniformly and then kept inside the walls, whatever the parameters.
     """
     areas = len(generators)
-    # One draw of fixed length an episode; an opponent's part comes last, so that K does not shift the rest.
+    # One draw of fixed length per episode; an opponent's part comes last, so that K does not shift the rest.
     u = np.stack([generator.random(3 + 3 * num_opponents) for generator in generators])
     of_opponents = u[:, 3:].reshape(areas, num_opponents, 3)
     each = {name: column[:, None] for name, column in p.items()}

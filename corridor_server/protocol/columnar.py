@@ -1,4 +1,4 @@
-"""Agent batches and action lists as columns: bytes to arrays and back in a handful of NumPy operations a message.
+"""Agent batches and action lists as columns: bytes to arrays and back in a handful of NumPy operations per message.
 
 A message's repeated part is a run of rows of one length, so it can be seen as a structured array. The rows' constant
 bytes come from protobuf itself, which serialises one example; reading is an equality test of those bytes. Whatever does
@@ -107,7 +107,7 @@ def _field(tag: bytes, payload: bytes) -> bytes:
 
 
 def write_output(behavior: str, name: str, agents: Agents, side_channel: bytes) -> bytes:
-    """A player's message with one vector observation an agent.
+    """A player's message with one vector observation per agent.
 
     Args:
         behavior: The behavior's full name.

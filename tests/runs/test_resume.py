@@ -10,7 +10,7 @@ from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.lean_ppo import LeanPPO
 from trainer.learning.stages import build_stages
-from trainer.runs.checkpoint import Checkpoint, checkpoints, read_checkpoint
+from trainer.runs.checkpoint import Checkpoint, checkpoints, from_bytes, read_checkpoint, to_bytes
 from trainer.runs.folder import RunFolder
 from trainer.runs.logs import ProgressFile
 from trainer.runs.run import train_run
@@ -58,6 +58,51 @@ def test_a_checkpoint_of_another_algorithm_says_so():
     stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
     with pytest.raises(TrainerError, match="is of a run with --algo trpo, but this one has ppo"):
         restore_trained(checkpoint(config={"algo": "trpo"}), stages, "ppo")
+
+
+def in_format_1(checkpoint: Checkpoint) -> Checkpoint:
+    """A checkpoint as it was before its parts had their plain values, and the running episodes, to themselves."""
+    arrays = {}
+    before = {
+        "progress/": "sb3_window/",
+        "last_step/": "last/",
+        "players/state_": "player_state/",
+        "players/": "player/",
+    }
+    for name, array in checkpoint.arrays.items():
+        start = next((start for start in before if name.startswith(start)), "")
+        arrays[before.get(start, "") + name.removeprefix(start)] = array
+    arrays["curiosity/episode_sums"] = arrays.pop("curiosity_episodes/sums")
+    del arrays["curiosity_episodes/observations"]
+    facts = dict(checkpoint.facts)
+    parts = facts.pop("parts")
+    del facts["format"]
+    facts |= {name: parts["progress"][name] for name in ("env_steps", "updates", "logged")}
+    facts |= {"numpy_random": parts["random"]["numpy_rest"], "lives": parts["players"]["lives"]}
+    return Checkpoint(arrays, {**facts, "curiosity": parts["curiosity"]})
+
+
+def test_a_checkpoint_of_the_first_format_goes_on_to_the_bit(tmp_path, free_port, monkeypatch):
+    connection = ConnectionOptions(base_port=free_port, timeout_wait=120)
+
+    def train_to(name: str, steps: int, resumed: bool) -> RunFolder:
+        config = Train(name, num_areas=8, training=TrainingOptions(steps=steps)).run_config()
+        folder = RunFolder.prepare(config, tmp_path, resume=resumed, force=False)
+        train_run(config, folder, connection, episodes=1, resumed=resumed)
+        return folder
+
+    final = []
+    for name in ("today", "before"):
+        newest = checkpoints(train_to(name, 256, resumed=False).checkpoints)[-1]
+        if name == "before":
+            old = in_format_1(from_bytes(newest.read_bytes()))
+            with monkeypatch.context() as patch:
+                patch.setattr("trainer.runs.checkpoint.FORMAT", 1)
+                newest.write_bytes(to_bytes(old))
+        final.append(read_checkpoint(train_to(name, 512, resumed=True).checkpoints))
+    today, before = final
+    assert today.arrays.keys() == before.arrays.keys()
+    assert [name for name, array in today.arrays.items() if not np.array_equal(array, before.arrays[name])] == []
 
 
 def test_rows_after_the_checkpoint_and_rows_that_a_full_disk_cut_are_dropped(tmp_path):

@@ -87,7 +87,7 @@ def test_a_claim_says_its_measure_and_its_numbers():
 def test_few_or_short_runs_are_said():
     judged = CLAIMS["C1"].judge({"c0": arm(2, lambda _: run(steps=1000))})
     assert "Only 2 seeds, too few to rely on" in judged["evidence"]
-    assert "Only 1,000 steps a run" in judged["evidence"]
+    assert "Only 1,000 steps per run" in judged["evidence"]
 
 
 def test_without_runs_a_claim_is_not_decided():

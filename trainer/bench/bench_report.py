@@ -20,8 +20,8 @@ def print_report(report: dict[str, Any], console: Console) -> None:
         part = row["ours"] / row["areas"] / row["echo"]
         table.add_row(f"{row['areas']:,}", f"{row['ours']:,.0f}", *clients, f"{row['echo']:,.0f} ({part:.0%})")
     console.print(
-        "Exchange, agent steps a second (in brackets: how many times as fast ours is). limit: the player against a "
-        "trainer that answers at once, unread. echo: bare round trips a second with as many bytes (ours: exchanges)."
+        "Exchange, agent steps per second (in brackets: how many times as fast ours is). limit: the player against a "
+        "trainer that answers at once, unread. echo: bare round trips per second with as many bytes (ours: exchanges)."
     )
     console.print(table)
     for row in report["world"]:
@@ -54,7 +54,7 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
             axes.plot(*zip(*points, strict=True), marker="o", label=label, color=colour)
     world = [(row["areas"], row["steps_per_second"]) for row in report["world"]]
     axes.plot(*zip(*world, strict=True), linestyle=":", color="#3a8f5c", label="the world in process")
-    axes.set(xscale="log", yscale="log", xlabel="areas in one player", ylabel="agent steps a second")
+    axes.set(xscale="log", yscale="log", xlabel="areas in one player", ylabel="agent steps per second")
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     figure.savefig(path, dpi=110)

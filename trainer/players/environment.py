@@ -32,7 +32,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     """``UnityEnvironment`` over our communicator, listening on one host.
 
     The same to its users. Where the environment has one behavior with one vector observation and continuous actions,
-    steps go by columns instead of a message object an agent, as long as the player's messages have the form for it.
+    steps go by columns instead of a message object per agent, as long as the player's messages have the form for it.
 
     Args:
         file_name: The player's executable; None waits for a player that somebody else starts.

@@ -150,7 +150,7 @@ class UnityVecEnv(Slots):
 
     def _attribute_statistics(self, ended_slots: list[int], infos: list[dict[str, Any]]) -> None:
         received = self._take_statistics()
-        # A name without exactly one value an episode can't be attributed.
+        # A name without exactly one value per episode can't be attributed.
         whole = {name: values for name, values in received.items() if len(values) == len(ended_slots)}
         for row, slot in enumerate(ended_slots):
             infos[slot].update(episode_info({name: values[row] for name, values in whole.items()}))

@@ -28,7 +28,7 @@ def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, pat
         ("mean_return", "return", LEARNER_COLOUR),
         ("success_rate", "success rate", SWITCH_COLOUR),
         ("mean_episode_length", "episode length (decisions)", WALL_COLOUR),
-        ("intrinsic_reward", "intrinsic reward a step", OPPONENT_COLOUR),
+        ("intrinsic_reward", "intrinsic reward per step", OPPONENT_COLOUR),
     ]
     figure = _figure(9.0, 5.4)
     for index, (column, label, colour) in enumerate(panels):

@@ -1,7 +1,7 @@
 """Statistics over few runs, after Agarwal et al., "Deep RL at the Edge of the Statistical Precipice" (2021).
 
 Interquartile means, and percentile bootstrap intervals around them. The bootstrap is stratified: runs are drawn anew
-within each arm, never across arms. Every function takes one score a run, (runs,), and a Generator.
+within each arm, never across arms. Every function takes one score per run, (runs,), and a Generator.
 """
 
 from dataclasses import dataclass

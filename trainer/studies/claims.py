@@ -69,7 +69,7 @@ def _reservations(results: Results, arms: Sequence[Arm]) -> str:
     if fewest < ENOUGH_SEEDS:
         text += f" Only {fewest} seed{'s' if fewest > 1 else ''}, too few to rely on; {ENOUGH_SEEDS} are meant."
     if shortest < PAPER_STEPS:
-        text += f" Only {shortest:,} steps a run; {PAPER_STEPS:,} are meant."
+        text += f" Only {shortest:,} steps per run; {PAPER_STEPS:,} are meant."
     return text
 
 

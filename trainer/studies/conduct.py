@@ -38,7 +38,7 @@ def run_study(
         store: Where runs and report go.
         preset: The runs' preset.
         seeds: One run of every arm for each.
-        steps: Agent steps a run.
+        steps: Agent steps per run.
         episodes: Of each run's evaluation.
         timeout_wait: Seconds to wait for a player.
         command: As typed, for the report.

@@ -18,7 +18,7 @@ class StudyDisplay:
         name: The study's.
         total: Its runs.
         missing: Those of them that are not finished yet.
-        steps: Agent steps a run.
+        steps: Agent steps per run.
     """
 
     def __init__(self, console: Console, name: str, total: int, missing: int, steps: int) -> None:

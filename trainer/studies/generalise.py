@@ -212,7 +212,7 @@ class Cell:
     Attributes:
         panel: The panel's title.
         change: The change.
-        evaluations: One a run.
+        evaluations: One per run.
     """
 
     panel: str
@@ -317,11 +317,11 @@ def _report(
         "",
         f"`{command}`",
         "",
-        f"Policies of {', '.join(run_ids)}, without further training; mean action, {episodes} episodes a cell and run.",
-        "Numbers are relative to the corridor of training; x1 and +0 are that corridor. In a narrower one the ranges",
-        "of start, target and switch across shrink with it. The switch's place is not in the observation, so a policy",
-        "can only know where it was. With several opponents the policy, whose observation holds one, is shown the",
-        "nearest.",
+        f"Policies of {', '.join(run_ids)}, without further training; mean action, {episodes} episodes per cell",
+        "and run. Numbers are relative to the corridor of training; x1 and +0 are that corridor. In a narrower one the",
+        "ranges of start, target and switch across shrink with it. The switch's place is not in the observation, so a",
+        "policy can only know where it was. With several opponents the policy, whose observation holds one, is shown",
+        "the nearest.",
         "",
         "![Success and contact](generalise.png)",
         "",

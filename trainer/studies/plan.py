@@ -100,7 +100,7 @@ class Study:
     doses: tuple[DoseFigure, ...] = ()
 
     def runs(self, preset: PresetName, steps: int, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
-        """The study's runs by arm name, one a seed."""
+        """The study's runs by arm name, one per seed."""
         return {arm.name: [arm.run(preset, steps, seed) for seed in seeds] for arm in self.arms}
 
 

@@ -28,7 +28,7 @@ def learning_curves(
     unit: str,
     generator: np.random.Generator,
 ) -> Figure:
-    """One line an arm: the interquartile mean over its runs, in a 95% bootstrap band; each run as a faint line.
+    """One line per arm: the interquartile mean over its runs, in a 95% bootstrap band; each run as a faint line.
 
     Args:
         runs: By arm name.

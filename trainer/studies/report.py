@@ -50,7 +50,7 @@ class Facts:
         command: As it was typed.
         preset: The runs' preset.
         seeds: The runs' seeds.
-        steps: Agent steps a run.
+        steps: Agent steps per run.
         trained: Runs that this invocation trained; the others were finished before.
         wall_seconds: That it took.
         versions: By package.
@@ -102,7 +102,7 @@ class Report:
         return found
 
     def table(self, between: str, columns: Sequence[int] = range(len(COLUMNS))) -> list[list[str]]:
-        """The results table: its head, then a row an arm.
+        """The results table: its head, then a row per arm.
 
         Args:
             between: Stands between a number and its interval.
@@ -223,7 +223,7 @@ class Report:
             f"`{facts.command}`",
             "",
             f"{finished} of {planned} runs finished: {seeds}, "
-            f"{len(self.study.arms)} arms, {facts.steps:,} agent steps a run, preset {facts.preset}. This command "
+            f"{len(self.study.arms)} arms, {facts.steps:,} agent steps per run, preset {facts.preset}. This command "
             f"trained {facts.trained} of them in {_duration(facts.wall_seconds)}; learning took "
             f"{_duration(self._training_seconds())} over all runs.",
         ]

@@ -1,4 +1,4 @@
-"""What a study's finished runs amount to: one number a run for each measure, and its learning curve."""
+"""What a study's finished runs amount to: one number per run for each measure, and its learning curve."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

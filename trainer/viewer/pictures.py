@@ -30,7 +30,7 @@ Point = tuple[float, float]
 WIDTH = 640  # pixels
 LINE = 34  # pixels for the line of numbers
 FINER = 2  # drawn this much larger, then reduced: smooth edges
-BETWEEN = 3  # MP4 frames a decision; a GIF has one
+BETWEEN = 3  # MP4 frames per decision; a GIF has one
 HOLD_SECONDS = 1.5  # on the last frame
 
 
@@ -40,8 +40,8 @@ def save_animations(trajectories: Trajectories, scene: dict[str, Any], gif: Path
     Args:
         trajectories: The evaluation.
         scene: Of ``run_scene``.
-        gif: File for the GIF, at the corridor's own pace, a frame a decision.
-        mp4: File for the MP4, three frames a decision.
+        gif: File for the GIF, at the corridor's own pace, a frame per decision.
+        mp4: File for the MP4, three frames per decision.
     """
     shown = min(scene["episodes"], key=lambda record: (record["outcome"] != "goal", record["closest"]))
     episode = trajectories.episodes[shown["number"]]

@@ -41,7 +41,7 @@ def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
         arms = record["arms"]
         claims = [{key: claim[key] for key in CLAIM_KEYS} for claim in record["claims"]]
         seeds = range(record["first_seed"], record["first_seed"] + record["seeds"])
-        facts = [record["command"], f"{record['seeds']} seeds", f"{record['steps']:,} steps a run"]
+        facts = [record["command"], f"{record['seeds']} seeds", f"{record['steps']:,} steps per run"]
         groups = [
             {"name": arm["label"], "runs": [_run(folder, f"{arm['name']}-seed{seed}", episodes) for seed in seeds]}
             for arm in arms
@@ -85,7 +85,7 @@ def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
     facts = [
         "success unknown" if success is None else f"success {100 * success:.0f}%",
         f"return {evaluation['mean_return']:.2f}",
-        f"{evaluation['mean_episode_length']:.0f} decisions an episode",
+        f"{evaluation['mean_episode_length']:.0f} decisions per episode",
     ]
     return {"run_id": run_id, "facts": ", ".join(facts), "replay": Path(os.path.relpath(replay, study)).as_posix()}
 
