@@ -39,7 +39,7 @@ class Areas:
     ) -> None:
         numbers = tuple(areas)
         self.config = config
-        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, f"VectorSensor_size{config.observation_size}")
+        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, (f"VectorSensor_size{config.observation_size}",))
         self.parameters = EpisodeParameters(config, numbers)
         self._streams = Streams(seed, numbers)
         self._camera = camera
@@ -123,7 +123,7 @@ class Areas:
         observations = world.observation(self.parameters.columns, self.state)
         images = None if self._camera is None else self._pictures(np.arange(len(self)))
         done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
-        return Agents(self._ids.copy(), rewards, done, interrupted, observations, images)
+        return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, (observations,), images)
 
     def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: world.Bools) -> Agents:
         """Puts the agents of ``rows``, as they were last, before all areas' agents, in whose place successors stand."""
@@ -135,13 +135,13 @@ class Areas:
         ids = np.concatenate([last.ids[rows], self._ids])
         rewards = np.concatenate([last.rewards[rows], last.rewards])
         rewards[begun] = 0.0
-        observations = np.concatenate([last.observations[rows], last.observations])
+        observations = np.concatenate([last.observations[0][rows], last.observations[0]])
         observations[begun] = world.observation(self.parameters.columns, self.state)[rows]
         images = None
         if last.images is not None:
             images = np.concatenate([last.images[rows], last.images])
             images[begun] = self._pictures(rows)
-        return Agents(ids, rewards, done, interrupted, observations, images)
+        return Agents.ungrouped(ids, rewards, done, interrupted, (observations,), images)
 
     def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
         assert self._camera is not None

@@ -109,7 +109,7 @@ def output(
         camera: How the agents' pictures travel, if they have any.
     """
     if not introduce and agents.images is None:
-        return columnar.write_output(behavior.name, behavior.observation, agents, side_channel)
+        return columnar.write_output(behavior.name, behavior.sensors[0], agents, side_channel)
     message = UnityMessageProto()
     message.header.status = OK
     rl_output = message.unity_output.rl_output
@@ -206,14 +206,14 @@ def _bytes(message: Any) -> bytes:
 
 def _agent_infos(behavior: Behavior, agents: Agents, camera: Camera | None) -> list[Any]:
     infos = []
-    size = agents.observations.shape[1]
-    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations)
+    size = agents.observations[0].shape[1]
+    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations[0])
     rows = zip(*(column.tolist() for column in columns), strict=True)
     for row, (agent_id, reward, done, interrupted, floats) in enumerate(rows):
         info = AgentInfoProto(id=agent_id, reward=reward, done=done, max_step_reached=interrupted)
         if agents.images is not None:  # sensors go by name, and C stands before V
             _add_picture(info, agents.images[row], camera or Camera())
-        observation = info.observations.add(name=behavior.observation, shape=[size], dimension_properties=[NO_PROPERTY])
+        observation = info.observations.add(name=behavior.sensors[0], shape=[size], dimension_properties=[NO_PROPERTY])
         observation.float_data.data.extend(floats)
         infos.append(info)
     return infos

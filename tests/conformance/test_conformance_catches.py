@@ -122,7 +122,7 @@ def reset_showing_the_past(self):
     past = world.observation(self.parameters.columns, self.state)
     agents = reset(self)
     if past.any():
-        agents.observations[:] = past
+        agents.observations[0][:] = past
     return agents
 areas.Areas.reset = reset_showing_the_past
 """,

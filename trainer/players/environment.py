@@ -165,7 +165,7 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
 
 
 def _steps(agents: Agents) -> tuple[DecisionSteps, TerminalSteps]:
-    for values, field in ((agents.observations, "observation"), (agents.rewards, "reward")):
+    for values, field in ((agents.observations[0], "observation"), (agents.rewards, "reward")):
         finite = np.isfinite(values)
         if not finite.all():
             row, *component = np.argwhere(~finite)[0].tolist()
@@ -175,12 +175,12 @@ def _steps(agents: Agents) -> tuple[DecisionSteps, TerminalSteps]:
 
 def _decision(agents: Agents) -> DecisionSteps:
     none = np.zeros(len(agents), dtype=np.float32)
-    return DecisionSteps([agents.observations], agents.rewards, agents.ids, None, [0] * len(agents), none)
+    return DecisionSteps(list(agents.observations), agents.rewards, agents.ids, None, [0] * len(agents), none)
 
 
 def _terminal(agents: Agents) -> TerminalSteps:
     none = np.zeros(len(agents), dtype=np.float32)
-    observations, groups = [agents.observations], [0] * len(agents)
+    observations, groups = list(agents.observations), [0] * len(agents)
     return TerminalSteps(observations, agents.rewards, agents.interrupted, agents.ids, groups, none)
 
 
