@@ -63,7 +63,9 @@ class Line(World):
         self.age, self.there = 0, False
 
     def act(self, continuous: Sequence[float], discrete: Sequence[int]) -> float:
-        moves = [max(-1.0, min(1.0, each)) for each in continuous] + [sum(self.MOVES[each : each + 1]) for each in discrete]
+        moves = [max(-1.0, min(1.0, each)) for each in continuous] + [
+            sum(self.MOVES[each : each + 1]) for each in discrete
+        ]
         before = abs(self.target - self.x)
         self.x = max(-1.0, min(1.0, self.x + self.STEP * sum(moves) / len(moves)))
         self.age += 1
