@@ -219,6 +219,7 @@ class RunConfig:
         from_sb3: A Stable-Baselines3 ``.zip`` whose policy the run begins with.
         num_envs: Players, stepped concurrently.
         env_args: A launched player's own arguments.
+        graphics: Whether a launched build opens a window and renders.
         engine: Unity's engine settings.
         environment_parameters: Names and values or samplers, in the form of ``mlagents-learn``'s YAML.
     """
@@ -236,6 +237,7 @@ class RunConfig:
     curiosity: CuriosityConfig
     num_envs: int = 1
     env_args: list[str] = dataclasses.field(default_factory=list)
+    graphics: bool = False
     engine: EngineConfig = EngineConfig()
     environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     other: OtherConfig | None = None

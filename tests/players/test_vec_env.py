@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionSpec
-from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from mlagents_envs.side_channel.stats_side_channel import StatsAggregationMethod, StatsSideChannel
 from scripted import Scripted, spec
 from stable_baselines3.common.vec_env import VecMonitor
 
@@ -102,10 +102,32 @@ def test_an_agent_that_appears_from_nowhere_is_refused():
         act(env, 0, 0)
 
 
-def test_an_end_of_an_unknown_agent_is_refused():
-    env, _ = slots(({1: 0}, {}), ({1: 0}, {5: (0.0, False)}))
-    with pytest.raises(TrainerError, match="Agent 5 ended, but no running episode has that id"):
-        act(env, 0)
+def test_an_agent_that_ends_before_its_first_decision_is_no_episode():
+    env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0.1, 2: 0.2}, {5: (9.0, False)}), ({1: 0.3, 2: 0.4}, {}))
+    _, rewards, dones, infos = act(env, 0, 0)
+    assert rewards == pytest.approx([0.1, 0.2])
+    assert (dones.any(), infos) == (False, [{}, {}])
+    assert act(env, 0, 0)[1] == pytest.approx([0.3, 0.4])
+
+
+def test_statistics_are_nobodys_while_an_agent_is_dropped():
+    """The one value that came may be the dropped agent's as well as the ended one's."""
+    statistics = StatsSideChannel()
+    ends: dict[int, tuple[float, bool]] = {1: (0.0, True), 5: (0.0, False)}
+    environment = Scripted(spec([(1,)], CONTINUOUS), [({1: 0}, {}), ({2: 0}, ends), ({3: 0}, {2: (0.0, False)})])
+    env = UnityVecEnv(environment, statistics)
+    env.reset()
+    statistics.stats["Corridor/Success"].append((1.0, StatsAggregationMethod.AVERAGE))
+    assert "is_success" not in act(env, 0)[3][0]
+    statistics.stats["Corridor/Success"].append((1.0, StatsAggregationMethod.AVERAGE))
+    assert act(env, 0)[3][0]["is_success"] is True
+
+
+def test_messages_in_which_nobody_asks_yet_are_waited_through_after_a_reset():
+    env, environment = slots(({}, {}), ({}, {4: (0.0, False)}), ({1: 0, 2: 0}, {}), ({}, {}), ({2: 0, 1: 0}, {}))
+    assert env.num_envs == 2
+    assert env.reset()[:, 0] == pytest.approx([2.04, 1.04])
+    assert (environment.resets, environment.sent) == (2, [])
 
 
 def test_visual_observations_are_refused():

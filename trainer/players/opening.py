@@ -40,6 +40,7 @@ def open_environment(
     number: int = 0,
     env_args: Sequence[str] = (),
     listen: str = LOOPBACK,
+    graphics: bool = False,
 ) -> Environment:
     """Starts or awaits a player and shakes hands.
 
@@ -55,6 +56,7 @@ def open_environment(
         env_args: Arguments of a launched player's own.
         listen: Where to listen, unless ``env`` says so. The protocol has no authentication: a warning is printed for
             anything but loopback.
+        graphics: Whether a launched build shall open a window and render, as cameras in a scene need.
 
     Raises:
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
@@ -69,6 +71,7 @@ def open_environment(
         "timeout_wait": timeout_wait,
         "side_channels": side_channels,
         "additional_args": list(env_args),
+        "graphics": graphics,
     }
     if env == BUILTIN:
         options["additional_args"] += ["--parent", str(os.getpid())]
@@ -166,6 +169,7 @@ def _open(
         number=number,
         env_args=config.env_args,
         listen=connection.listen,
+        graphics=config.graphics,
     )
     try:
         with player_errors(log_path(logs, number)):

@@ -42,9 +42,10 @@ class UnityVecEnv(Slots):
         self.behavior, spec = only_behavior(environment)
         self._continuous = spec.action_spec.is_continuous()
         self._fresh = True  # only_behavior's reset began an episode that the first reset() gives out
-        decision, _ = environment.get_steps(self.behavior)
+        decision = self._first_decisions()
         super().__init__(len(decision), observation_space(spec), action_space(spec))
         self._slots: dict[int, int] = {}
+        self._dropped = 0  # agents that ended before their first decision, since statistics were last attributed
         self._in_order: NDArray[np.intp] = np.arange(self.num_envs)
         self._agent_ids: NDArray[np.int32] = decision.agent_id
         self._observations = np.zeros((self.num_envs, *(self.observation_space.shape or ())), dtype=np.float32)
@@ -54,7 +55,7 @@ class UnityVecEnv(Slots):
         if not self._fresh:
             self.environment.reset()
         self._fresh = False
-        decision, _ = self.environment.get_steps(self.behavior)
+        decision = self._first_decisions()
         if len(decision) != self.num_envs:
             raise TrainerError(
                 f"{len(decision)} agents asked for a decision after a reset, but {self.num_envs} did before."
@@ -105,6 +106,14 @@ class UnityVecEnv(Slots):
         self._attribute_statistics(ended_slots, infos)
         return self._observations.copy(), rewards, dones, infos
 
+    def _first_decisions(self) -> DecisionSteps:
+        """After a reset, what the agents show that ask first: Unity may have messages before, without any that asks."""
+        decision, _ = self.environment.get_steps(self.behavior)
+        while not len(decision):
+            self.environment.step()
+            decision, _ = self.environment.get_steps(self.behavior)
+        return decision
+
     def _end_episodes(
         self,
         terminal: TerminalSteps,
@@ -118,8 +127,9 @@ class UnityVecEnv(Slots):
         slots = []
         for row, agent in enumerate(terminal.agent_id.tolist()):
             slot = self._slots.pop(agent, None)
-            if slot is None:
-                raise TrainerError(f"Agent {agent} ended, but no running episode has that id; ids must be unique.")
+            if slot is None:  # it ended before its first decision, of which ML-Agents makes no episode either
+                self._dropped += 1
+                continue
             rewards[slot] = terminal.reward[row]
             dones[slot] = True
             infos[slot]["terminal_observation"] = last_observations[row]
@@ -149,7 +159,9 @@ class UnityVecEnv(Slots):
         rewards[self._in_order[running]] = decision.reward[running]
 
     def _attribute_statistics(self, ended_slots: list[int], infos: list[dict[str, Any]]) -> None:
-        received = self._take_statistics()
+        received, dropped, self._dropped = self._take_statistics(), self._dropped, 0
+        if dropped:
+            return  # which of the values were a dropped agent's can't be told
         # A name without exactly one value per episode can't be attributed.
         whole = {name: values for name, values in received.items() if len(values) == len(ended_slots)}
         for row, slot in enumerate(ended_slots):

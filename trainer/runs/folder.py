@@ -29,7 +29,7 @@ PACKAGES = (
 )
 
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
-MAY_CHANGE = ("steps", "env", "env_args", "engine")
+MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine")
 
 
 class RunFolder:
