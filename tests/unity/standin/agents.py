@@ -116,11 +116,8 @@ class Agent:
         """How its episode ended in this step by itself; empty if it goes on."""
         if self.group is not None:
             return ""
-        if self.spec.episode:
-            terminated = self.episode.steps >= self.spec.episode
-        else:
-            terminated = self.episode.steps > 0 and self.world.age > 0 and self.world.arrived()
-        if terminated:
+        limit = self.spec.episode
+        if self.episode.steps >= limit if limit else self.world.arrived():
             return "terminated"
         return "interrupted" if 0 < self.spec.max_step <= self.episode.steps else ""
 
