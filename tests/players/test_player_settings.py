@@ -127,7 +127,7 @@ def test_another_build_may_have_any_parameter(tmp_path):
 
 def test_the_presets_corridor_is_for_our_player_alone_until_another_is_known_to_be_one():
     run = Train("r", env="Other.x86_64", env_param=("gravity=-9", "goal_x=5"), penalty=0.5).run_config()
-    engine, parameters = channels(run, 7)
+    _, parameters = channels(run, 7)
     told = lambda: dict(read_environment_parameter(bytes(each)) for each in parameters.message_queue)  # noqa: E731
     assert told() == {"gravity": -9.0, "goal_x": 5.0}, "what was given, though goal_x is the preset's too"
     parameters.message_queue.clear()

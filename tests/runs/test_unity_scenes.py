@@ -36,7 +36,7 @@ def record(folder: Path) -> dict:
 
 
 def test_a_scene_that_ignores_num_areas_trains_says_so_resumes_and_exports(train, tmp_path):
-    player, log = write_player(tmp_path)
+    player, _ = write_player(tmp_path)
     done = train(player, "--num-areas", 64, "--steps", 200)
     said = "Areas asked for: 64 per player (--num-areas); agents that came, and are trained with: 1; a scene makes"
     assert [said in line for line in done.splitlines()].count(True) == 1
@@ -69,7 +69,7 @@ def test_any_other_behavior_is_told_only_what_was_given(train, tmp_path):
 
 
 def test_success_is_of_all_episodes_or_unknown(train, tmp_path):
-    """Two of three episodes are cut by a step limit and report nothing: 100% of those that report is no success rate."""
+    """Two of three episodes are cut by a step limit and report nothing: 100% of the rest is no rate."""
     player, _ = write_player(tmp_path, success=(1.0, None, None))
     done = train(player, "--num-areas", 1, "--steps", 200)
     assert "success unknown for " in done

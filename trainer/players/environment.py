@@ -48,6 +48,8 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             observations, encoding, waiting and decoding.
     """
 
+    _env_specs: dict[str, BehaviorSpec]
+
     def __init__(
         self,
         file_name: str | None,

@@ -16,7 +16,7 @@ from trainer.settings_file import parse_parameter
 
 
 def channels(config: RunConfig, seed: int) -> list[SideChannel]:
-    """Engine settings and environment parameters: side channels that carry a run's settings to one player with its first reset.
+    """Engine settings and environment parameters: what carries a run's settings to one player with its first reset.
 
     What the run has for a corridor alone, the penalty and the preset's parameters, goes to our own player only: of no
     other is known that early which behavior it has (see ``tell_corridor``).

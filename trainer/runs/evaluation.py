@@ -99,12 +99,12 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
     return {
         "episodes": len(episodes),
         "success_rate": _share(episodes, "success_rate"),
-        "success_unknown": unreported(episodes, "success_rate"),
         "mean_return": float(np.mean([episode.rewards.sum(dtype=np.float64) for episode in episodes])),
         "mean_episode_length": float(np.mean([len(episode.rewards) for episode in episodes])),
         "opponent_contact_rate": _share(episodes, "opponent_contact_rate"),
         "wall_contact_rate": _share(episodes, "wall_contact_rate"),
         "mean_success_length": _mean_length([episode for episode in episodes if episode.succeeded]),
+        "success_unknown": unreported(episodes, "success_rate"),
     }
 
 
