@@ -7,7 +7,9 @@ in the first message. Its own ``check_env_specs`` comes first, then 1,000 steps 
 import json
 import sys
 
-import trainer  # noqa: F401 - message classes for a current protobuf, before TorchRL imports mlagents_envs
+import trainer  # noqa: F401 - message classes for a current protobuf, before anything imports mlagents_envs
+
+# isort: split
 import torch
 import torchrl
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
