@@ -29,7 +29,7 @@ class Agents:
     """Agents of one behavior, a row each: in a message of ours, those that ended stand before those that decide.
 
     Attributes:
-        ids: One per agent, (n,) int32.
+        ids: An agent's own for its life, over all its episodes; from 0; (n,) int32.
         rewards: Since the agent's last batch, (n,) float32.
         done: Whose episode ended, with its last observation and reward, (n,) bool.
         interrupted: Which of those a step limit cut, (n,) bool.

@@ -84,9 +84,9 @@ wire.output = output_without_last_rewards
         "every_behavior_is_introduced_in_the_message_that_has_its_first_agents",
         """
 output, sent = wire.output, []
-def output_introducing_late(behavior, agents, side_channel, introduce, camera):
+def output_introducing_late(behavior, agents, side_channel, introduce, *rest):
     sent.append(agents)
-    return output(behavior, agents, side_channel, len(sent) == 2, camera)
+    return output(behavior, agents, side_channel, len(sent) == 2, *rest)
 wire.output = output_introducing_late
 """,
     ),

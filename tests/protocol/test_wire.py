@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "golden"))
 from record import RECORD, converse, replies
 
 FLOATS = st.floats(-(2.0**99), 2.0**99, width=32)
-IDS = st.integers(1, 2**31 - 1)
+IDS = st.integers(0, 2**31 - 1)
 
 
 BEHAVIOR = Behavior("Corridor?team=0", 2, ("VectorSensor_size13",))
@@ -60,6 +60,24 @@ def test_mlagents_envs_reads_the_batch_that_was_written(batch):
         assert np.array_equal(read.reward, written.rewards)
         assert np.array_equal(read.obs[0], written.observations[0])
     assert np.array_equal(terminal.interrupted, batch.ended.interrupted)
+
+
+@pytest.mark.parametrize("hybrid_actions", [True, False])
+def test_only_a_trainer_without_hybrid_actions_gets_the_deprecated_fields(hybrid_actions):
+    done = np.zeros(1, np.bool_)
+    batch = Agents(np.zeros(1, np.int32), np.zeros(1, np.float32), done, done, np.zeros((1, 13), np.float32))
+    message = UnityMessageProto.FromString(wire.output(BEHAVIOR, batch, b"", True, None, hybrid_actions))
+    [brain] = message.unity_output.rl_initialization_output.brain_parameters
+    assert brain.action_spec.num_continuous_actions == 2
+    assert list(brain.vector_action_size_deprecated) == ([] if hybrid_actions else [2])
+    assert brain.vector_action_space_type_deprecated == (0 if hybrid_actions else wire.CONTINUOUS)
+
+
+def test_the_player_says_what_unitys_says():
+    said = UnityMessageProto.FromString(wire.hello("3.0.0")).unity_output.rl_initialization_output
+    assert (said.name, said.communication_version, said.package_version) == ("AcademySingleton", "1.5.0", "3.0.0")
+    capabilities = said.capabilities
+    assert [getattr(capabilities, name) for name in capabilities.DESCRIPTOR.fields_by_name] == [True] * 7
 
 
 @given(
