@@ -69,6 +69,11 @@ def play(env: UnityVecEnv, steps: int) -> int:
     )
 
 
+def step_to_the_end(environment: Any) -> None:
+    while True:
+        environment.step()
+
+
 def test_resets_in_the_middle_of_episodes_are_played_on_from(opened):
     env = UnityVecEnv(opened("corridor_like", 4))
     for _ in range(5):
@@ -112,8 +117,7 @@ def test_a_build_that_announced_its_end_ends_by_itself(opened, caplog):
     process = environment._process
     environment.reset()
     with pytest.raises(UnityCommunicatorStoppedException):
-        for _ in range(400):
-            environment.step()
+        step_to_the_end(environment)
     with caplog.at_level(logging.WARNING):
         environment.kill()
     assert process.returncode == 0
