@@ -249,7 +249,7 @@ class RunConfig:
     environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     other: OtherConfig | None = None
     from_sb3: str | None = None
-    preset_parameters: list[str] = dataclasses.field(default_factory=list)
+    preset_parameters: list[str] = dataclasses.field(default_factory=list, compare=False)  # it follows from the rest
 
     def __post_init__(self) -> None:
         if self.env == "editor" and self.engine.time_scale > EDITOR_TIME_SCALE:

@@ -11,10 +11,13 @@ import pytest
 import yaml
 from raw_player import events, write_player
 
+from trainer.commands.train import Train
+from trainer.config import RunConfig
 from trainer.main import main
 from trainer.runs.callbacks import CountEpisodes
 from trainer.runs.counters import Counters
 from trainer.runs.evaluation import Episode, summarise
+from trainer.runs.folder import RunFolder
 from trainer.runs.progress import Snapshot
 
 
@@ -88,6 +91,19 @@ def test_success_that_every_episode_reports_is_a_rate(train, tmp_path):
     assert "success 67%" in done
     evaluation = json.loads((tmp_path / "r" / "summary.json").read_text())["evaluation"]
     assert (evaluation["success_rate"], evaluation["success_unknown"]) == (pytest.approx(2 / 3), 0)
+
+
+def test_a_run_of_before_these_settings_were_recorded_is_the_same_and_resumes(tmp_path):
+    config = Train("r", env="Other.x86_64").run_config()
+    folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
+    written = yaml.safe_load(folder.configuration.read_text())
+    del written["run"]["preset_parameters"], written["run"]["graphics"]
+    written["run"]["engine"]["time_scale"] = 0.5
+    folder.configuration.write_text(yaml.safe_dump(written))
+    again = Train("r", env="Other.x86_64", graphics=True).run_config()
+    RunFolder.prepare(again, tmp_path, resume=True, force=False)
+    del written["run"]["engine"]
+    assert RunConfig.from_dict(written["run"]) == config, "a study goes on with the runs that it has"
 
 
 def counted(*successes: bool | None) -> CountEpisodes:
