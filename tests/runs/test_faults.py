@@ -67,7 +67,7 @@ def test_unitys_decision_timing_resumes_bit_for_bit_too(tmp_path, free_port):
     player = tmp_path / "player"
     player.write_text(f'#!/bin/sh\nexec {BIN / "corridor-server"} --decision-timing unity "$@"\n')
     player.chmod(0o755)
-    options = ("--env", player, "--env-param", "max_episode_steps=65", "--env-param", "failure_return=-999")
+    options = ("--env", player, "--env-param", "max_episode_steps=65", "failure_return=-1000")
     options += ("--preset", "paper", "--steps", 1_000, "--eval-episodes", 1)
     whole, cut = (Run(tmp_path, name, free_port, *options) for name in ("whole", "cut"))
     assert whole.finish() == 0, whole.output
