@@ -35,6 +35,10 @@ CHROMIUM_FLAGS = [
 DESKTOP = {"width": 1280, "height": 860}
 Open = Callable[..., Any]
 
+# mlagents-envs 1.1.0's own pins. It says Python <= 3.10.12 and runs on later 3.10 ones, so it is installed by itself.
+PINS = ("cloudpickle", "grpcio<=1.48.2", "Pillow", "protobuf<3.21", "pyyaml", "gym>=0.21", "pettingzoo==1.15.0")
+MORE_PINS = ("numpy>=1.23.5,<1.24", "filelock>=3.4")
+
 
 # Below those that the system gives to outgoing connections, of which one might have the next in a row; each of the
 # processes that share the tests has its own.
@@ -119,6 +123,23 @@ def interpreter(version: str) -> str | None:
         if candidate and subprocess.run([candidate, "--version"], capture_output=True).returncode == 0:
             return str(candidate)
     return None
+
+
+@pytest.fixture(scope="session")
+def official_python(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An interpreter with Unity's published client: ``OFFICIAL_PYTHON``, or one installed for these tests."""
+    if given := os.environ.get("OFFICIAL_PYTHON"):
+        return given
+    python = interpreter("3.10")
+    if python is None:
+        pytest.skip("Unity's published client needs Python 3.10, and there is none on this machine")
+    folder = tmp_path_factory.mktemp("official")
+    pip = [str(folder / "bin" / "pip"), "install", "--quiet"]
+    subprocess.run([python, "-m", "venv", folder], check=True)
+    subprocess.run([*pip, "setuptools<81", "wheel"], check=True)
+    subprocess.run([*pip, *PINS, *MORE_PINS], check=True)
+    subprocess.run([*pip, "--no-deps", "--ignore-requires-python", "mlagents-envs==1.1.0"], check=True)
+    return str(folder / "bin" / "python")
 
 
 class OneArea:

@@ -18,6 +18,7 @@ class Episode:
     first: float = 0.0
     group_reward: float = 0.0
     end: str = "unfinished"  # terminated, interrupted, disabled, reset
+    told: bool = False  # whether the trainer was told of its end
 
 
 @dataclass
@@ -35,6 +36,7 @@ class Info:
         """Into the ledger: it is being sent."""
         self.episode.reward += self.reward
         self.episode.group_reward += self.group_reward
+        self.episode.told = self.done
         if not self.done:
             if not self.episode.decisions:
                 self.episode.first = self.reward

@@ -57,7 +57,7 @@ class SideChannels:
         try:
             for channel, payload in _split(data):
                 self._take(channel, payload)
-        except (ValueError, struct.error) as error:
+        except (ValueError, KeyError, struct.error) as error:
             self._say(f"exception: {error}")
 
     def _take(self, channel: bytes, payload: bytes) -> None:

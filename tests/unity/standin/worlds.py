@@ -52,14 +52,17 @@ class World:
 class Line(World):
     """A target on a line from -1 to 1.
 
-    The reward is how much nearer an action brought the agent, and 1 more when it arrives.
+    An episode begins away from it. The reward is how much nearer an action brought the agent, and 1 more on arrival.
     """
 
-    STEP, NEAR = 0.1, 0.05
+    STEP, NEAR, FAR = 0.1, 0.05, 0.2
     MOVES = (0.0, -1.0, 1.0)  # of a discrete branch: stay, left and right; every other choice stays as well
 
     def begin(self) -> None:
-        self.x, self.target = self.random.uniform(-1, 1), self.read("target", self.random.uniform(-1, 1))
+        self.target = self.read("target", self.random.uniform(-1, 1))
+        self.x = self.target
+        while abs(self.target - self.x) <= self.FAR:
+            self.x = self.random.uniform(-1, 1)
         self.age, self.there = 0, False
 
     def act(self, continuous: Sequence[float], discrete: Sequence[int]) -> float:
