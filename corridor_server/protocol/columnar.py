@@ -1,224 +1,180 @@
 """Agent batches and action lists as columns: bytes to arrays and back in a handful of NumPy operations per message.
 
-A message's repeated part is a run of rows of one length, so it can be seen as a structured array. The rows' constant
-bytes come from protobuf itself, which serialises one example; reading is an equality test of those bytes. Whatever does
-not look exactly so, from whichever peer, is left to the protobuf parser: every reader here then returns None.
-
-Ids are written as varints of five bytes, which all protobuf parsers read, so that every row has the same length.
+The bytes are those that protobuf itself writes. Whatever does not look so, from whichever peer, is left to the protobuf
+parser: every reader here then returns None.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.messages import AgentActionProto, AgentInfoProto
+from corridor_server.protocol.messages import AgentActionProto
+from corridor_server.protocol.row_template import Column, RowTemplate
+from corridor_server.protocol.wire_bytes import HEADER_OK, MessageWalker, length_delimited, varint
 
-LARGEST_ID = 2**31 - 1
-HEADER_OK = b"\x0a\x03\x08\xc8\x01"  # UnityMessageProto.header { status: 200 }
-# Tags of length-delimited fields, (number << 3) | 2.
-FIELD_1, FIELD_2, FIELD_3, FIELD_5 = b"\x0a", b"\x12", b"\x1a", b"\x2a"
-# An id's five groups of seven bits, lowest first: all but the last are marked as continued, the last has three bits.
-_SHIFTS = np.array([0, 7, 14, 21, 28], np.int32)
-_CONTINUED = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
-_GROUP_LIMITS = np.array([0x7F, 0x7F, 0x7F, 0x7F, 7], np.uint8)
-# An example's values, found again in its bytes: where each column lies.
-_REWARD = np.float32(1.2345e-33).tobytes()
-
-
-class _Rows:
-    """Rows of one length in a repeated field 1, of which some columns vary."""
-
-    def __init__(self, example: bytes, columns: dict[str, tuple[str, int]]) -> None:
-        row = FIELD_1 + varint(len(example)) + example
-        shift = len(row) - len(example)
-        names = list(columns)
-        self.dtype = np.dtype(
-            {
-                "names": names,
-                "formats": [columns[name][0] for name in names],
-                "offsets": [columns[name][1] + shift for name in names],
-                "itemsize": len(row),
-            }
-        )
-        self.template = np.frombuffer(row, np.uint8)
-        varying = np.zeros(1, self.dtype)
-        for name in names:
-            varying[name].view(np.uint8)[...] = 255
-        self.constant = np.flatnonzero(varying.view(np.uint8) == 0)
-        self._expected = self.template[self.constant]
-
-    def empty(self, count: int) -> NDArray[np.void]:
-        """Rows to fill in."""
-        raw = np.empty((count, len(self.template)), np.uint8)
-        raw[:] = self.template
-        return raw.reshape(-1).view(self.dtype)
-
-    def read(self, data: bytes, start: int, end: int) -> NDArray[np.void] | None:
-        """The rows from start to end, if that is what they are."""
-        count, rest = divmod(end - start, len(self.template))
-        if rest:
-            return None
-        rows = np.frombuffer(data, self.dtype, count, start)
-        raw = rows.view(np.uint8).reshape(count, len(self.template))
-        return rows if (raw[:, self.constant] == self._expected).all() else None
+# Field numbers, from a message down to its rows: player to trainer, and trainer to player.
+_UNITY_OUTPUT, _RL_OUTPUT, _AGENT_INFOS, _OUTPUT_SIDE_CHANNEL = 2, 1, 2, 3
+_UNITY_INPUT, _RL_INPUT, _AGENT_ACTIONS, _INPUT_SIDE_CHANNEL = 3, 1, 1, 5
+_KEY, _VALUE = 1, 2  # of a map's entry
+# AgentActionProto's fields.
+_DEPRECATED, _CONTINUOUS, _DISCRETE = 1, 6, 7
+_ONE_BYTE = 0x7F  # the largest choice whose varint is one byte: with more, rows differ in length
 
 
-@cache
-def _agent_rows(size: int, name: str) -> _Rows:
-    floats = np.full(size, 1.2345e-30, np.float32)
-    info = AgentInfoProto(reward=np.float32(1.2345e-33), done=True, max_step_reached=True, id=LARGEST_ID)
-    observation = info.observations.add(name=name, shape=[size], dimension_properties=[1])
-    observation.float_data.data.extend(floats.tolist())
-    example = info.SerializeToString()
-    reward = example.index(_REWARD)  # then, in the order of field numbers: done, max_step_reached, id
-    done, interrupted, identity = reward + 5, reward + 7, reward + 9
-    at = example.index(floats.tobytes())
-    columns = {"reward": ("<f4", reward), "done": ("u1", done), "interrupted": ("u1", interrupted)}
-    return _Rows(example, columns | {"id": ("(5,)u1", identity), "observation": (f"({size},)<f4", at)})
+class ActionBatch(NamedTuple):
+    """What agents of one behavior shall do, a row each.
+
+    Attributes:
+        continuous: (n, size) float32.
+        discrete: The choice in each branch, (n, branches) int32.
+    """
+
+    continuous: NDArray[np.float32]
+    discrete: NDArray[np.int32]
 
 
-@cache
-def _action_rows(size: int, deprecated: bool) -> _Rows:
-    old, new = np.full(size, 1.25e-30, np.float32), np.full(size, 1.75e-30, np.float32)
-    action = AgentActionProto(continuous_actions=new.tolist())
-    if deprecated:
-        action.vector_actions_deprecated.extend(old.tolist())
-    example = action.SerializeToString()
-    columns = {"action": (f"({size},)<f4", example.index(new.tobytes()))}
-    if deprecated:
-        columns["deprecated"] = (f"({size},)<f4", example.index(old.tobytes()))
-    return _Rows(example, columns)
-
-
-def varint(value: int) -> bytes:
-    """A non-negative number as protobuf writes it."""
-    result = bytearray()
-    while value > 0x7F:
-        result.append(value & 0x7F | 0x80)
-        value >>= 7
-    result.append(value)
-    return bytes(result)
-
-
-def _field(tag: bytes, payload: bytes) -> bytes:
-    return tag + varint(len(payload)) + payload
-
-
-def write_output(behavior: str, name: str, agents: Agents, side_channel: bytes) -> bytes:
-    """A player's message with one vector observation per agent.
+def write_output(behavior: str, rows: AgentRows, agents: Agents, side_channel: bytes) -> bytes:
+    """A player's message with vector observations.
 
     Args:
         behavior: The behavior's full name.
-        name: The observation's.
+        rows: Of its agents.
         agents: In the order in which they are to be read; pictures of theirs don't travel this way.
         side_channel: Bytes beside them.
     """
-    layout = _agent_rows(agents.observations[0].shape[1], name)
-    rows = layout.empty(len(agents.ids))
-    rows["reward"] = agents.rewards
-    rows["done"] = agents.done
-    rows["interrupted"] = agents.interrupted
-    rows["observation"] = agents.observations[0]
-    rows["id"] = (agents.ids[:, None] >> _SHIFTS) & 0x7F | _CONTINUED
-    entry = _field(FIELD_1, behavior.encode()) + _field(FIELD_2, rows.tobytes())
-    rl_output = _field(FIELD_2, entry) + (_field(FIELD_3, side_channel) if side_channel else b"")
-    return HEADER_OK + _field(FIELD_2, _field(FIELD_1, rl_output))
+    entry = length_delimited(_KEY, behavior.encode()) + length_delimited(_VALUE, rows.write(agents))
+    rl_output = length_delimited(_AGENT_INFOS, entry)
+    if side_channel:
+        rl_output += length_delimited(_OUTPUT_SIDE_CHANNEL, side_channel)
+    return HEADER_OK + length_delimited(_UNITY_OUTPUT, length_delimited(_RL_OUTPUT, rl_output))
 
 
-def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agents, bytes] | None:
-    """The agents and side-channel bytes of a message that ``write_output`` might have written; None for any other."""
-    found = _find_rows(data, FIELD_2, FIELD_2, FIELD_3, behavior)
-    rows = None if found is None else _agent_rows(size, name).read(data, *found[:2])
-    if found is None or rows is None:
-        return None
-    groups, done, interrupted = rows["id"], rows["done"], rows["interrupted"]
-    if len(rows) and (((groups ^ _CONTINUED) > _GROUP_LIMITS).any() or max(done.max(), interrupted.max()) > 1):
-        return None
-    ids = ((groups & 0x7F) << _SHIFTS).sum(axis=1, dtype=np.int32)
-    reward, observation = rows["reward"].copy(), rows["observation"].copy()
-    agents = Agents.ungrouped(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), (observation,))
-    return agents, found[2]
+def read_output(data: bytes, behaviors: Mapping[str, AgentRows]) -> tuple[dict[str, Agents], bytes] | None:
+    """The agents of every behavior that the message has, and its side-channel bytes.
+
+    Args:
+        data: The message.
+        behaviors: Those that there are, by their full names.
+
+    Returns:
+        None for a message that is to be left to the parser: one of another form, with another behavior, or with one
+        behavior twice.
+    """
+    walker = MessageWalker(data)
+    walker.expect(HEADER_OK)
+    walker.enter_last(_UNITY_OUTPUT)
+    walker.enter_last(_RL_OUTPUT)
+    found: dict[str, Agents] = {}
+    while walker.at(_AGENT_INFOS):
+        name, start, end = _enter_entry(walker, _AGENT_INFOS)
+        rows = behaviors.get(name)
+        if walker.failed or rows is None or name in found:
+            return None
+        agents = rows.read(data, start, end)
+        if agents is None:
+            return None
+        found[name] = agents
+    beside = walker.take(_OUTPUT_SIDE_CHANNEL) if walker.at(_OUTPUT_SIDE_CHANNEL) else b""
+    return None if walker.failed or walker.offset != len(data) else (found, beside)
 
 
-def write_step(behavior: str, actions: NDArray[np.float32], side_channel: bytes) -> bytes:
-    """A trainer's STEP with continuous actions, (n, size), in the new and the deprecated field."""
-    layout = _action_rows(actions.shape[1], deprecated=True)
-    rows = layout.empty(len(actions))
-    rows["action"] = actions
-    rows["deprecated"] = actions
-    entry = _field(FIELD_1, behavior.encode()) + _field(FIELD_2, rows.tobytes())
-    rl_input = _field(FIELD_1, entry) + (_field(FIELD_5, side_channel) if side_channel else b"")
-    return HEADER_OK + _field(FIELD_3, _field(FIELD_1, rl_input))
+def _enter_entry(walker: MessageWalker, number: int) -> tuple[str, int, int]:
+    """Passes over a map's entry; returns its key, and where its value starts and ends."""
+    entry_end = walker.enter(number)
+    key = walker.take(_KEY)
+    end = walker.enter(_VALUE)
+    start, walker.offset = walker.offset, end
+    walker.failed |= end != entry_end
+    try:
+        return key.decode(), start, end
+    except UnicodeDecodeError:
+        walker.failed = True
+        return "", start, end
 
 
-def read_step(data: bytes, behavior: str, size: int) -> tuple[NDArray[np.float32], bytes] | None:
-    """The actions and side-channel bytes of a STEP as ``mlagents_envs`` or ``write_step`` writes it; None otherwise."""
-    found = _find_rows(data, FIELD_3, FIELD_1, FIELD_5, behavior)
-    if found is None:
+def write_step(actions: Mapping[str, ActionBatch], side_channel: bytes) -> bytes:
+    """A trainer's STEP, with the new fields and the deprecated one, as ``mlagents_envs`` writes it.
+
+    Args:
+        actions: Of each behavior, by its full name, in the order in which its agents asked; none for one whose agents
+            didn't.
+        side_channel: Bytes beside them.
+    """
+    rl_input = b""
+    for behavior, batch in actions.items():
+        entry = length_delimited(_KEY, behavior.encode()) + length_delimited(_VALUE, _action_rows(batch))
+        rl_input += length_delimited(_AGENT_ACTIONS, entry)
+    if side_channel:
+        rl_input += length_delimited(_INPUT_SIDE_CHANNEL, side_channel)
+    return HEADER_OK + length_delimited(_UNITY_INPUT, length_delimited(_RL_INPUT, rl_input))
+
+
+def _action_rows(batch: ActionBatch) -> bytes:
+    continuous, discrete = batch
+    size, branches = continuous.shape[1], discrete.shape[1]
+    one_byte_each = not discrete.size or 0 <= discrete.min() <= discrete.max() <= _ONE_BYTE
+    if size + branches == 0 or not one_byte_each:
+        return b"".join(_action_row(*row) for row in zip(continuous.tolist(), discrete.tolist(), strict=True))
+    template = _action_template(size, branches, deprecated=True)
+    rows = template.blank(len(continuous))
+    rows["deprecated"][:, :size] = continuous
+    rows["deprecated"][:, size:] = discrete
+    if size:
+        rows["continuous"] = continuous
+    if branches:
+        rows["discrete"] = discrete
+    return rows.tobytes()
+
+
+def _action_row(numbers: list[float], choices: list[int]) -> bytes:
+    action = AgentActionProto(
+        vector_actions_deprecated=[*numbers, *choices], continuous_actions=numbers, discrete_actions=choices
+    )
+    return length_delimited(1, action.SerializeToString())
+
+
+def read_step(data: bytes, behavior: str, size: int, branches: Sequence[int] = ()) -> tuple[ActionBatch, bytes] | None:
+    """The actions and side-channel bytes of a STEP for one behavior, as ``mlagents_envs`` or ``write_step`` writes it.
+
+    Args:
+        data: The message.
+        behavior: The behavior's full name.
+        size: How many continuous numbers an action has.
+        branches: How many choices each of its discrete branches has.
+
+    Returns:
+        None for any other message.
+    """
+    walker = MessageWalker(data)
+    walker.expect(HEADER_OK)
+    walker.enter_last(_UNITY_INPUT)
+    walker.enter_last(_RL_INPUT)
+    name, start, end = _enter_entry(walker, _AGENT_ACTIONS)
+    beside = walker.take(_INPUT_SIDE_CHANNEL) if walker.at(_INPUT_SIDE_CHANNEL) else b""
+    if walker.failed or walker.offset != len(data) or name != behavior:
         return None
     for deprecated in (True, False):
-        rows = _action_rows(size, deprecated).read(data, *found[:2])
+        rows = _action_template(size, len(branches), deprecated).all(data, start, end)
         if rows is not None:
-            return rows["action"].copy(), found[2]
+            continuous = rows["continuous"].copy() if size else np.empty((len(rows), 0), np.float32)
+            discrete = rows["discrete"].astype(np.int32) if branches else np.empty((len(rows), 0), np.int32)
+            one_byte_each = not discrete.size or discrete.max() <= _ONE_BYTE
+            return (ActionBatch(continuous, discrete), beside) if one_byte_each else None
     return None
 
 
-def _find_rows(
-    data: bytes, direction: bytes, rows_by_behavior: bytes, side_channel: bytes, behavior: str
-) -> tuple[int, int, bytes] | None:
-    """Where a message's rows start and end, and its side-channel bytes; None if it holds anything else.
+@cache
+def _action_template(size: int, branches: int, deprecated: bool) -> RowTemplate:
+    def packed(number: int, column: Column, count: int, width: int) -> list[bytes | Column]:
+        return [varint(number << 3 | 2) + varint(count * width), column] if count else []
 
-    Both directions have one form: header, then {direction {field 1 {map {behavior: rows}, side channel}}}.
-    """
-    reader = _MessageWalker(data)
-    reader.expect(HEADER_OK)
-    reader.enter(direction)
-    reader.enter(FIELD_1)
-    entry_end = reader.enter(rows_by_behavior, inside=False)
-    key = reader.take(FIELD_1)
-    end = reader.enter(FIELD_2, inside=False)
-    start, reader.offset = reader.offset, end
-    beside = reader.take(side_channel) if not reader.failed and end < len(data) else b""
-    if reader.failed or end != entry_end or reader.offset != len(data) or key != behavior.encode():
-        return None
-    return start, end, beside
-
-
-class _MessageWalker:
-    """Walks through a message that is expected to have one form; ``failed`` if it has another."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self.offset = 0
-        self.failed = False
-
-    def expect(self, constant: bytes) -> None:
-        """Passes over bytes that have to be these."""
-        self.failed |= not self._data.startswith(constant, self.offset)
-        self.offset += len(constant)
-
-    def enter(self, tag: bytes, inside: bool = True) -> int:
-        """Passes over a tag and a length; returns where the field ends: at the message's end, if it lies inside."""
-        self.expect(tag)
-        length, shift = 0, 0
-        while self.offset < len(self._data) and shift < 35:
-            byte = self._data[self.offset]
-            self.offset += 1
-            length |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80:
-                break
-        else:
-            self.failed = True
-        end = self.offset + length
-        self.failed |= end != len(self._data) if inside else end > len(self._data)
-        return end
-
-    def take(self, tag: bytes) -> bytes:
-        """The content of a field."""
-        end = self.enter(tag, inside=False)
-        content = self._data[self.offset : end]
-        self.offset = end
-        return content
+    both = size + branches if deprecated else 0
+    parts = packed(_DEPRECATED, Column("deprecated", "<f4", (both,)), both, 4)
+    parts += packed(_CONTINUOUS, Column("continuous", "<f4", (size,)), size, 4)
+    parts += packed(_DISCRETE, Column("discrete", "u1", (branches,)), branches, 1)
+    return RowTemplate(parts)

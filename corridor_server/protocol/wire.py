@@ -6,6 +6,7 @@ Batches of vector observations and plain STEP messages go by ``columnar``; every
 import struct
 import zlib
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agent_rows import AgentRows, Sensor
 from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import (
     ACADEMY,
@@ -27,8 +29,9 @@ from corridor_server.protocol.messages import (
 )
 
 CONTINUOUS = 1  # SpaceTypeProto
-# DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are.
-NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE = 1, 2
+# DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are; of
+# variable size, as buffers are.
+NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE, VARIABLE_SIZE = 1, 2, 4
 PNG = 1  # CompressionTypeProto
 
 
@@ -55,11 +58,13 @@ class Command:
         side_channel: Bytes for the side channels, to be applied first.
         actions: Of a STEP, (n, continuous actions) float32 for the agents that asked, as received: clipping is the
             world's.
+        discrete: Of the same STEP, the choice in each discrete branch, (n, branches) int32.
     """
 
     number: int
     side_channel: bytes = b""
     actions: NDArray[np.float32] | None = None
+    discrete: NDArray[np.int32] | None = None
 
 
 class WireError(ValueError):
@@ -118,7 +123,9 @@ def output(
             of the behavior's action spec.
     """
     if not introduce and agents.images is None:
-        return columnar.write_output(behavior.name, behavior.sensors[0], agents, side_channel)
+        shapes = tuple(each.shape[1:] for each in agents.observations)
+        rows = _agent_rows(behavior.sensors, shapes, behavior.discrete_branches)
+        return columnar.write_output(behavior.name, rows, agents, side_channel)
     message = UnityMessageProto()
     message.header.status = OK
     rl_output = message.unity_output.rl_output
@@ -129,6 +136,8 @@ def output(
         brain.brain_name = behavior.name
         brain.is_training = True
         brain.action_spec.num_continuous_actions = behavior.continuous_actions
+        brain.action_spec.num_discrete_actions = len(behavior.discrete_branches)
+        brain.action_spec.discrete_branch_sizes.extend(behavior.discrete_branches)
         if not hybrid_actions:
             brain.vector_action_size_deprecated.append(behavior.continuous_actions)
             brain.vector_action_space_type_deprecated = CONTINUOUS
@@ -155,12 +164,12 @@ def command(data: bytes, behavior: Behavior, count: int | None) -> Command:
 
     Raises:
         WireError: No message, an unknown command, or actions that can't be used: another number or size than asked
-            for, NaN or Inf.
+            for, NaN or Inf, a choice that there is not.
     """
-    size = behavior.continuous_actions
-    plain = None if count is None else columnar.read_step(data, behavior.name, size)
+    size, branches = behavior.continuous_actions, behavior.discrete_branches
+    plain = None if count is None else columnar.read_step(data, behavior.name, size, branches)
     if plain is not None and count is not None:
-        return Command(STEP, plain[1], _checked(plain[0], behavior, count))
+        return Command(STEP, plain[1], *_checked(plain[0], behavior, count))
     message = _parse(data)
     if _ends(message):
         return Command(QUIT)
@@ -173,15 +182,28 @@ def command(data: bytes, behavior: Behavior, count: int | None) -> Command:
         return Command(STEP, rl_input.side_channel)
     received = rl_input.agent_actions[behavior.name].value if behavior.name in rl_input.agent_actions else ()
     # Trainers from before version 1.3 of the protocol fill the deprecated field only.
-    rows = [action.continuous_actions or action.vector_actions_deprecated for action in received]
-    for row in rows:
-        if len(row) != size:
-            raise WireError(f"An action has {len(row)} continuous values, but {size} were expected.")
-    actions = np.array(rows, dtype=np.float32).reshape(len(rows), size)
-    return Command(STEP, rl_input.side_channel, _checked(actions, behavior, count))
+    both = [_halves(action, behavior) for action in received]
+    for row, (numbers, choices) in enumerate(both):
+        if len(numbers) != size:
+            raise WireError(f"Action {row} has {len(numbers)} continuous values, but {size} were expected.")
+        if len(choices) != len(branches):
+            raise WireError(f"Action {row} has {len(choices)} discrete choices, but {len(branches)} were expected.")
+    continuous = np.array([numbers for numbers, _ in both], np.float32).reshape(len(both), size)
+    discrete = np.array([choices for _, choices in both], np.int32).reshape(len(both), len(branches))
+    batch = columnar.ActionBatch(continuous, discrete)
+    return Command(STEP, rl_input.side_channel, *_checked(batch, behavior, count))
 
 
-def _checked(actions: NDArray[np.float32], behavior: Behavior, count: int) -> NDArray[np.float32]:
+def _halves(action: Any, behavior: Behavior) -> tuple[Any, Any]:
+    """An AgentActionProto's continuous and discrete part."""
+    old, size = action.vector_actions_deprecated, behavior.continuous_actions
+    if not behavior.discrete_branches:
+        return action.continuous_actions or old, ()
+    return action.continuous_actions or old[:size], action.discrete_actions or [int(each) for each in old[size:]]
+
+
+def _checked(batch: columnar.ActionBatch, behavior: Behavior, count: int) -> columnar.ActionBatch:
+    actions, discrete = batch
     if len(actions) != count:
         raise WireError(
             f"The trainer sent {len(actions)} actions for behavior {behavior.name}, but {count} agents asked for one."
@@ -193,7 +215,15 @@ def _checked(actions: NDArray[np.float32], behavior: Behavior, count: int) -> ND
             f"Action {row} is {actions[row].tolist()}, but finite numbers in [-1, 1] were expected; "
             "look for a diverged policy."
         )
-    return actions
+    if behavior.discrete_branches:
+        unknown = np.argwhere((discrete < 0) | (discrete >= behavior.discrete_branches))
+        if len(unknown):
+            row, branch = unknown[0].tolist()
+            raise WireError(
+                f"Action {row} chooses {discrete[row, branch]} in branch {branch}, but 0 to "
+                f"{behavior.discrete_branches[branch] - 1} were expected."
+            )
+    return batch
 
 
 def _parse(data: bytes) -> Any:
@@ -216,17 +246,31 @@ def _bytes(message: Any) -> bytes:
 
 def _agent_infos(behavior: Behavior, agents: Agents, camera: Camera | None) -> list[Any]:
     infos = []
-    size = agents.observations[0].shape[1]
-    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations[0])
+    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.group_ids, agents.group_rewards)
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    for row, (agent_id, reward, done, interrupted, floats) in enumerate(rows):
+    for row, (agent_id, reward, done, interrupted, group, group_reward) in enumerate(rows):
         info = AgentInfoProto(id=agent_id, reward=reward, done=done, max_step_reached=interrupted)
+        info.group_id, info.group_reward = group, group_reward
+        for mask in agents.masks:
+            info.action_mask.extend(mask[row].tolist())
         if agents.images is not None:  # sensors go by name, and C stands before V
             _add_picture(info, agents.images[row], camera or Camera())
-        observation = info.observations.add(name=behavior.sensors[0], shape=[size], dimension_properties=[NO_PROPERTY])
-        observation.float_data.data.extend(floats)
+        for name, values in zip(behavior.sensors, agents.observations, strict=True):
+            shape = values.shape[1:]
+            observation = info.observations.add(name=name, shape=shape, dimension_properties=_properties(shape))
+            observation.float_data.data.extend(values[row].ravel().tolist())
         infos.append(info)
     return infos
+
+
+def _properties(shape: tuple[int, ...]) -> tuple[int, ...]:
+    return (NO_PROPERTY,) if len(shape) == 1 else (VARIABLE_SIZE, NO_PROPERTY)
+
+
+@cache
+def _agent_rows(names: tuple[str, ...], shapes: tuple[tuple[int, ...], ...], branches: tuple[int, ...]) -> AgentRows:
+    sensors = (Sensor(name, shape, _properties(shape)) for name, shape in zip(names, shapes, strict=True))
+    return AgentRows(tuple(sensors), branches)
 
 
 def _add_picture(info: Any, image: NDArray[np.uint8], camera: Camera) -> None:

@@ -210,7 +210,7 @@ sys.exit(main())
             "agents.deciding.rewards[0] = np.inf",
             "After step [0-9,]+: The player sent reward = inf of agent [0-9]+ in area 0, but",
         ),
-        ("agents.deciding.ids[:] = 7", "1 of 8 agents asked for a decision, 0 of them new while 0 ended"),
+        ("agents.deciding.ids[:] = 7", "The player sent agent 7 8 times in one message where it asks for a decision"),
     ],
 )
 def test_a_player_that_goes_bad_in_mid_run_is_named_and_the_runs_data_kept(tmp_path, free_port, fault, says):

@@ -13,10 +13,12 @@ from mlagents_envs.environment import UnityEnvironment
 from corridor_server.corridor.areas import BEHAVIOR, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agent_rows import AgentRows, Sensor
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import EXCHANGE
+from corridor_server.protocol.wire import NO_PROPERTY
 from trainer.bench.bare_server import serve
-from trainer.bench.instant_trainer import instant_trainer
+from trainer.bench.instant_trainer import instant_trainer, zero_step
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
 from trainer.bench.our_player import our_client, player_path
 from trainer.bench.workload import Workload
@@ -91,8 +93,9 @@ def _echo(areas: int) -> Iterator[MeasuringProcess]:
     size = CorridorConfig().observation_size
     flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, size), np.float32)
     agents = Agents.ungrouped(np.zeros(areas, np.int32), observations[:, 0], flags, flags, (observations,))
-    request = len(columnar.write_output(BEHAVIOR, f"VectorSensor_size{size}", agents, b""))
-    reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
+    rows = AgentRows((Sensor(f"VectorSensor_size{size}", (size,), (NO_PROPERTY,)),))
+    request = len(columnar.write_output(BEHAVIOR, rows, agents, b""))
+    reply = zero_step(areas)
     server, port = serve(lambda data, context: reply)
     try:
         with MeasuringProcess(ECHO_PROGRAM, port, request, EXCHANGE) as client:

@@ -22,6 +22,12 @@ START_SECONDS = 20
 END_SECONDS = 20
 
 
+def zero_step(areas: int) -> bytes:
+    """A STEP in which every area's agent does nothing."""
+    nothing = columnar.ActionBatch(np.zeros((areas, 2), np.float32), np.empty((areas, 0), np.int32))
+    return columnar.write_step({BEHAVIOR: nothing}, b"")
+
+
 class InstantTrainer:
     """Leads players through the handshake, then answers all of them with the same STEP as soon as each has asked.
 
@@ -39,7 +45,7 @@ class InstantTrainer:
             command(RESET).SerializeToString(),
         ]
         self._openings = [list(opening) for _ in range(players)]
-        self._step = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
+        self._step = zero_step(areas)
         self._stop: bytes = stopping().SerializeToString()
         self._all_asked = threading.Barrier(players)
         self.ready, self._measuring, self._ended = threading.Event(), threading.Event(), False

@@ -26,9 +26,9 @@ from mlagents_envs.exception import (
     UnityWorkerInUseException,
 )
 
-from corridor_server.protocol.columnar import HEADER_OK
 from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto
 from corridor_server.protocol.trainer_messages import stopping, trainer_message
+from corridor_server.protocol.wire_bytes import HEADER_OK
 from trainer.signals import deferred
 
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
