@@ -34,11 +34,9 @@ CHROMIUM_FLAGS = [
 ]
 DESKTOP = {"width": 1280, "height": 860}
 Open = Callable[..., Any]
-
 # mlagents-envs 1.1.0's own pins. It says Python <= 3.10.12 and runs on later 3.10 ones, so it is installed by itself.
 PINS = ("cloudpickle", "grpcio<=1.48.2", "Pillow", "protobuf<3.21", "pyyaml", "gym>=0.21", "pettingzoo==1.15.0")
 MORE_PINS = ("numpy>=1.23.5,<1.24", "filelock>=3.4")
-
 
 # Below those that the system gives to outgoing connections, of which one might have the next in a row; each of the
 # processes that share the tests has its own.

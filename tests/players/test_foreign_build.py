@@ -12,8 +12,14 @@ import yaml
 from conftest import BIN
 
 BUILD = Path(__file__).parents[1] / "unity" / "Build.x86_64"
-AREA = "sensors = [{ size = 13 }]\nagents = [{ period = 5 }]\ncontinuous = 2"
-CORRIDOR = f'[[behaviors]]\nname = "Corridor"\nworld = "corridor"\n{AREA}\n'
+CORRIDOR = """
+[[behaviors]]
+name = "Corridor"
+world = "corridor"
+continuous = 2
+sensors = [{ size = 13 }]
+agents = [{ period = 5 }]
+"""
 
 
 def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:

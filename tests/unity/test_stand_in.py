@@ -81,11 +81,11 @@ class TestHandshake:
             elif refusal == "status":
                 game.trainer.reply(stopping())
             else:
-                game.trainer.reply(initialization())
-                game.trainer.receive()
-                {"QUIT": lambda: game.trainer.reply(quitting()), "cut": game.trainer.cut}.get(
-                    refusal, lambda: game.trainer.reply(stopping())
-                )()
+                game.trainer.ask(initialization())
+                if refusal == "cut":
+                    game.trainer.cut()
+                else:
+                    game.trainer.reply(quitting() if refusal == "QUIT" else stopping())
             began = time.monotonic()
             assert game.process.wait(10) == 0
             assert time.monotonic() - began > 0.8
