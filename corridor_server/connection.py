@@ -18,7 +18,11 @@ _OPTIONS = [
 
 
 class ConnectionFailed(Exception):
-    """Nobody answers, or the connection broke; the message is for the user."""
+    """No trainer can be talked to; the message is for the user."""
+
+
+class ConnectionBroken(ConnectionFailed):
+    """There was a trainer, and it is gone: an end of the session, as for Unity's player."""
 
 
 class Connection:
@@ -67,24 +71,31 @@ class Connection:
             timeout: Seconds; ``timeout_reply`` if not given.
 
         Raises:
-            ConnectionFailed: The trainer is gone or silent, or something else listens there.
+            ConnectionBroken: The trainer is gone.
+            ConnectionFailed: It is silent or has another player, or something else listens there.
         """
         try:
             reply: bytes = self._exchange(message, timeout=self._timeout_reply if timeout is None else timeout)
         except grpc.RpcError as error:
-            raise ConnectionFailed(self._reason(error.code())) from error
+            raise self._failure(error.code()) from error
         return reply
 
-    def _reason(self, code: grpc.StatusCode) -> str:
+    def _failure(self, code: grpc.StatusCode) -> ConnectionFailed:
         match code:
             case grpc.StatusCode.DEADLINE_EXCEEDED:
-                return f"The trainer at {self._address} sent no reply for {self._timeout_reply:g} s; it hangs."
+                return ConnectionFailed(
+                    f"The trainer at {self._address} sent no reply for {self._timeout_reply:g} s; it hangs."
+                )
             case grpc.StatusCode.UNIMPLEMENTED:
-                return f"What listens on {self._address} is no ML-Agents trainer (API {API_VERSION}); check the port."
+                return ConnectionFailed(
+                    f"What listens on {self._address} is no ML-Agents trainer (API {API_VERSION}); check the port."
+                )
             case grpc.StatusCode.ALREADY_EXISTS:
-                return f"The trainer at {self._address} has another player; give each player a port of its own."
+                return ConnectionFailed(
+                    f"The trainer at {self._address} has another player; give each player a port of its own."
+                )
             case _:
-                return (
+                return ConnectionBroken(
                     f"The connection to the trainer at {self._address} broke: it stopped or was killed ({code.name})."
                 )
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from corridor_server.connection import Connection, ConnectionFailed
+from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
 from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.decision_timing import TIMINGS
 from corridor_server.player import Player, PlayerError
 
 EDITOR_PORT = 5004
@@ -23,7 +24,7 @@ class Stopped(Exception):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a player; returns the process's exit code (0 when the trainer ended the session)."""
+    """Runs a player; returns the process's exit code: 0 when the trainer ended the session, or itself."""
     options, ignored = _parser().parse_known_args(arguments)
     try:
         _start_log(options.log_file)
@@ -54,12 +55,15 @@ def _play(options: argparse.Namespace, config: CorridorConfig) -> int:
         options.num_areas,
         options.camera,
         compressed=not options.camera_raw,
+        decision_timing=options.decision_timing,
     )
     try:
         player.run()
     except Stopped as stopped:
         logger.info("%s; the trainer is told.", stopped)
         player.say_farewell()
+    except ConnectionBroken as broken:
+        logger.warning("%s", broken)
     finally:
         connection.close()
     return 0
@@ -126,6 +130,12 @@ def _parser() -> argparse.ArgumentParser:
         "--parent", type=int, metavar="PID", help="the trainer that starts this player: not waited for once it is gone"
     )
     own.add_argument("--camera", type=_size, metavar="WIDTHxHEIGHT", help="add a top view as a visual observation")
+    own.add_argument(
+        "--decision-timing",
+        choices=sorted(TIMINGS),
+        default="together",
+        help="unity: ended agents in a message of their own, and an idle step after a reset (default: %(default)s)",
+    )
     own.add_argument("--camera-raw", action="store_true", help="send it as floats instead of PNG")
     return parser
 

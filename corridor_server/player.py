@@ -3,9 +3,10 @@
 import logging
 from typing import Any
 
-from corridor_server.connection import Connection, ConnectionFailed
-from corridor_server.corridor.areas import ACADEMY, Areas
+from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
+from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.messages import API_VERSION, QUIT
 from corridor_server.protocol.side_channels import SideChannelError
@@ -31,6 +32,7 @@ class Player:
         num_areas: Used where the trainer asks for one area or, as old ones do, for none.
         camera: Width and height of a visual observation, in pixels; None sends none.
         compressed: Send it as PNG instead of floats.
+        decision_timing: ``together`` or ``unity`` (see ``decision_timing``).
     """
 
     def __init__(
@@ -42,6 +44,7 @@ class Player:
         num_areas: int | None = None,
         camera: tuple[int, int] | None = None,
         compressed: bool = True,
+        decision_timing: str = "together",
     ) -> None:
         self._connection = connection
         self._config = config
@@ -50,13 +53,15 @@ class Player:
         self._num_areas = num_areas
         self._camera = camera
         self._compressed = compressed
+        self._timing = TIMINGS[decision_timing]
 
     def run(self) -> None:
         """Plays until the trainer ends it with QUIT or a status other than 200.
 
         Raises:
             PlayerError: The trainer's protocol version or a message of its can't be used; it was told so.
-            ConnectionFailed: The connection broke.
+            ConnectionBroken: The trainer is gone.
+            ConnectionFailed: There is no trainer to play with.
         """
         try:
             self._play()
@@ -75,25 +80,38 @@ class Player:
             logger.debug("%s", error)
 
     def _play(self) -> None:
-        parameters = wire.parameters(self._connection.exchange(wire.hello(ACADEMY, self._package_version)))
+        parameters = wire.parameters(self._shake_hands(wire.hello(self._package_version)))
         if parameters is None:
             return
         areas = self._areas(parameters)
+        timing: Timing = self._timing(areas)
         camera = wire.Camera(self._compressed, _wants_channels_first(parameters.package_version))
-        reply = self._connection.exchange(wire.acknowledgement())
+        hybrid_actions = parameters.capabilities.hybridActions
+        reply = self._shake_hands(wire.acknowledgement())
         asked: int | None = None  # how many agents want an action; nobody was heard of yet
+        state_wanted = False
         while (command := wire.command(reply, areas.behavior, asked)).number != QUIT:
-            state_wanted = self._apply_side_channels(areas, command.side_channel)
+            state_wanted |= self._apply_side_channels(areas, command.side_channel)
             if command.actions is None:  # a RESET, or a STEP before the first one
-                agents, side_channel = areas.reset(), b""
+                agents, statistics = timing.reset()
             else:
-                agents, statistics = areas.step(command.actions)
-                side_channel = side_channels.write_statistics(statistics)
-            if state_wanted:
-                side_channel += side_channels.write_state(areas.snapshot())
+                agents, statistics = timing.step(command.actions)
+            side_channel = side_channels.write_statistics(statistics)
             introduce, asked = asked is None, len(agents.deciding)
-            reply = self._connection.exchange(wire.output(areas.behavior, agents, side_channel, introduce, camera))
+            if state_wanted and asked:  # a state belongs to what a policy sees: a RESET before that changes it
+                side_channel += side_channels.write_state(areas.snapshot())
+                state_wanted = False
+            message = wire.output(areas.behavior, agents, side_channel, introduce, camera, hybrid_actions)
+            reply = self._connection.exchange(message)
         logger.info("The trainer ended the session.")
+
+    def _shake_hands(self, message: bytes) -> bytes:
+        try:
+            return self._connection.exchange(message)
+        except ConnectionBroken as error:
+            raise ConnectionBroken(
+                f"{error} That was in the handshake, where Unity's player would go on by itself; this one ends."
+            ) from error
 
     def _areas(self, parameters: Any) -> Areas:
         theirs = parameters.communication_version

@@ -74,7 +74,7 @@ wait_for 60 ended trainer || fail "the trainer goes on without env"
 c down --timeout 5 >/dev/null 2>&1
 ok "the trainer's end ends env, and env's the trainer, whose run is kept"
 
-export UNITY_FOLDER=$clone/tests/foreign
+export UNITY_FOLDER=$clone/tests/unity UNITY_BUILD=Build.x86_64
 RUN_ID=unity STEPS=20000 unity up >"$clone/up.log" 2>&1 || { tail -40 "$clone/up.log" >&2; fail "up with a build"; }
 both_ended_well "a build from a folder"
 [ "$(summary unity env_steps)" -ge 20000 ] || fail "no summary of the build's run"

@@ -1,8 +1,10 @@
 """Runs NUM_ENVS players, each on a port of its own from BASE_PORT on, beside a trainer that listens on localhost.
 
 The command line is the player's; ``--mlagents-port N`` is added. A player is started once the trainer listens on its
-port (a Unity build that finds nobody there plays on alone), and again if it fails. Exits with 0 when every player has
-ended with 0, which it does when the trainer is done, and with 1 when a player failed and no trainer listens any more.
+port (a Unity build that finds nobody there plays on alone), and again if it ends while the trainer goes on. A player
+ends with 0 when the trainer told it to, and also, as Unity's does, when the connection breaks: which of the two it was
+shows in whether a trainer listens on the port again. Exits with 0 when every player has ended with 0 and no trainer
+listens any more, and with 1 when one has failed.
 """
 
 import os
@@ -14,11 +16,13 @@ import threading
 import time
 
 PATIENCE = float(os.environ.get("TRAINER_PATIENCE", "60"))  # seconds without a trainer before giving up
+# Seconds after a player's good end in which a trainer that goes on listens again: it closes the port and opens it anew.
+RETURN = 5.0
 
 
-def wait_for_trainer(port: int) -> bool:
-    """Whether the trainer listens on its port before patience ends."""
-    deadline = time.monotonic() + PATIENCE
+def wait_for_trainer(port: int, seconds: float) -> bool:
+    """Whether the trainer listens on its port before so many seconds have passed."""
+    deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         try:
             socket.create_connection(("localhost", port), 2).close()
@@ -29,16 +33,16 @@ def wait_for_trainer(port: int) -> bool:
 
 
 def play(command: list[str], port: int, running: dict[int, subprocess.Popen[bytes]], failed: list[int]) -> None:
-    """Keeps one player going until it ends by itself, or the trainer is gone."""
-    while wait_for_trainer(port):
+    """Keeps one player going until the trainer is gone."""
+    code = None
+    while wait_for_trainer(port, RETURN if code == 0 else PATIENCE):
         running[port] = subprocess.Popen([*command, "--mlagents-port", str(port)])
         code = running[port].wait()
         print(f"The player on port {port} ended with code {code}.", flush=True)
-        if code == 0:
-            return
-        time.sleep(0.5)  # the trainer closes the port of a player that died, and opens it again
+        time.sleep(0.5)  # the trainer closes a port whose player has ended
     print(f"No trainer listens on port {port}.", flush=True)
-    failed.append(port)
+    if code != 0:
+        failed.append(port)
 
 
 def main() -> int:

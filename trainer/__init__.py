@@ -1,7 +1,7 @@
 """PPO and ICM curiosity on any ML-Agents environment, with Stable-Baselines3.
 
-The data flows one way: ``communicator`` -> ``unity`` -> ``gym_wrapper`` or ``vec_env`` -> normalisation ->
-``curiosity`` -> PPO (``training``) -> ``results`` and ``figures``.
+A step goes from a player (``players``: communicator, environment, ``gym_wrapper`` or ``vec_env``) through what learns
+(``learning``: monitor, normaliser, curiosity, PPO) into a run's folder (``runs``). ``commands`` is what a user types.
 """
 
 import os

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from trainer.corridor import CORRIDOR
+from trainer.errors import TrainerError
 from trainer.options import Count, Options, Port, Range, Seconds
 
 PAPER_STEPS = 1_500_000
 BASE_PORT = 5005  # mlagents-learn's
+EDITOR_TIME_SCALE = 100  # the most that the Unity editor takes
 PresetName = Literal["fast", "paper"]
 Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
 Intrinsic = Literal["icm", "rnd"]
@@ -147,7 +149,8 @@ class EngineConfig(Options):
         width: Of Unity's window, in pixels.
         height: Of Unity's window, in pixels.
         quality_level: Unity's quality level.
-        time_scale: Unity's time scale: simulated seconds in a second, where the machine keeps up.
+        time_scale: Unity's time scale: simulated seconds in a second, where the machine keeps up; never below 1, and
+            in the editor not above 100.
         target_frame_rate: Unity's target frame rate; -1 is as fast as can be.
         capture_frame_rate: Unity's capture frame rate.
     """
@@ -155,7 +158,7 @@ class EngineConfig(Options):
     width: Annotated[int, Range(1, 16384)] = 84
     height: Annotated[int, Range(1, 16384)] = 84
     quality_level: Annotated[int, Range(0, 100)] = 5
-    time_scale: Annotated[float, Range(0.01, 100.0)] = 20.0  # Unity refuses more
+    time_scale: Annotated[float, Range(1, 1000)] = 20.0  # ML-Agents raises less to 1
     target_frame_rate: Annotated[int, Range(-1, 10000)] = -1
     capture_frame_rate: Annotated[int, Range(0, 10000)] = 60
 
@@ -219,8 +222,13 @@ class RunConfig:
         from_sb3: A Stable-Baselines3 ``.zip`` whose policy the run begins with.
         num_envs: Players, stepped concurrently.
         env_args: A launched player's own arguments.
+        graphics: Whether a launched build opens a window and renders.
         engine: Unity's engine settings.
         environment_parameters: Names and values or samplers, in the form of ``mlagents-learn``'s YAML.
+        preset_parameters: Those of them that nobody gave: the preset's corridor, which is for a corridor alone.
+
+    Raises:
+        TrainerError: The Unity editor would not take the time scale.
     """
 
     run_id: str
@@ -236,10 +244,19 @@ class RunConfig:
     curiosity: CuriosityConfig
     num_envs: int = 1
     env_args: list[str] = dataclasses.field(default_factory=list)
+    graphics: bool = False
     engine: EngineConfig = EngineConfig()
     environment_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     other: OtherConfig | None = None
     from_sb3: str | None = None
+    preset_parameters: list[str] = dataclasses.field(default_factory=list, compare=False)  # it follows from the rest
+
+    def __post_init__(self) -> None:
+        if self.env == "editor" and self.engine.time_scale > EDITOR_TIME_SCALE:
+            raise TrainerError(
+                f"--time-scale is {self.engine.time_scale:g}, but the Unity editor takes at most {EDITOR_TIME_SCALE}; "
+                "lower it, or train on a build."
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""
@@ -258,7 +275,9 @@ class RunConfig:
             TypeError: A value is missing or unknown.
         """
         ppo, curiosity = PPOConfig(**values["ppo"]), CuriosityConfig(**values["curiosity"])
-        engine = EngineConfig(**values.get("engine", {}))
+        recorded = values.get("engine", {})
+        # Runs of before could have a time scale below 1, of which Unity made 1.
+        engine = EngineConfig(**{**recorded, "time_scale": max(recorded.get("time_scale", 20.0), 1.0)})
         kind = OTHERS.get(values["algo"])
         other = None if kind is None else kind(**values["other"])
         return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine, "other": other})
@@ -321,5 +340,6 @@ def preset_run(
         curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
         other=OTHERS[algo]() if algo in OTHERS else None,
         environment_parameters={**corridor, **given},
+        preset_parameters=[name for name in corridor if name not in given],
         **others,
     )

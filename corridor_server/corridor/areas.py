@@ -1,4 +1,4 @@
-"""Training areas side by side: who asks for a decision, who ended, under which id, with which reward."""
+"""Training areas side by side: who asks for a decision, who ended, with which reward."""
 
 from collections.abc import Iterable
 from dataclasses import fields
@@ -14,13 +14,13 @@ from corridor_server.corridor.streams import Streams
 from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.samplers import Value
 
-ACADEMY = "Corridor"
-BEHAVIOR = f"{ACADEMY}?team=0"
+NAME = "Corridor"
+BEHAVIOR = f"{NAME}?team=0"
 Statistics = dict[str, world.Floats]
 
 
 class Areas:
-    """Areas that share a config and a seed, each with its own random stream and agent.
+    """Areas that share a config and a seed, each with its own random stream and agent, whose id is the area's number.
 
     Args:
         config: The corridor.
@@ -32,6 +32,7 @@ class Areas:
         behavior: What every area's agent is to a trainer.
         parameters: What the next episodes will be like.
         state: Where everything is.
+        restored: Whether a saved state was put back and has not moved since; resets keep it.
     """
 
     def __init__(
@@ -39,17 +40,16 @@ class Areas:
     ) -> None:
         numbers = tuple(areas)
         self.config = config
-        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, f"VectorSensor_size{config.observation_size}")
+        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, (f"VectorSensor_size{config.observation_size}",))
         self.parameters = EpisodeParameters(config, numbers)
         self._streams = Streams(seed, numbers)
         self._camera = camera
-        self._next_id = 1
         count = len(numbers)
         self.state = world.State.empty(count, config.num_opponents)
-        self._ids = np.zeros(count, dtype=np.int32)
+        self._ids = np.array(numbers, dtype=np.int32)
         # Areas whose running episode began by itself at the last one's end, and has not moved yet.
         self._begun_by_end = np.zeros(count, dtype=np.bool_)
-        self._restored = False
+        self.restored = False
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -68,17 +68,15 @@ class Areas:
     def restore(self, rows: NDArray[np.void]) -> None:
         """Takes up what ``snapshot`` gave, in areas with the same config and samplers.
 
-        Resets keep the restored episodes until they have moved.
+        The ids that stand there are not taken up: an agent's is its area's number, and once was its episode's.
         """
-        self._ids = rows["id"].copy()
-        self._next_id = int(self._ids.max()) + 1  # the newest episode is always running
         self._streams.restore(rows["stream"])
         self.state = world.State(**{each.name: rows[each.name].copy() for each in fields(world.State)})
         for name, column in self.parameters.columns.items():
             column[:] = rows[f"parameter {name}"]
         for name, stream in self.parameters.streams.items():
             stream.restore(rows[f"sampler {name}"])
-        self._restored = True
+        self.restored = True
 
     def set_parameter(self, name: str, value: Value) -> None:
         """Sets an environment parameter for every episode that begins from now on (see ``EpisodeParameters.set``)."""
@@ -94,7 +92,7 @@ class Areas:
         Returns:
             Every area's agent, in area order.
         """
-        if not self._restored:
+        if not self.restored:
             self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
         return self._agents(np.zeros(len(self), dtype=np.float32))
@@ -103,11 +101,11 @@ class Areas:
         """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends.
 
         Returns:
-            Agents whose episode ended, then every area's agent, both in area order: in an area whose episode ended,
-            the next one's. And ``world.statistics`` of the ended episodes by their names on the statistics channel,
-            (ended,) each; nothing if none ended.
+            Agents whose episode ended, then every area's agent, both in area order: where an episode ended, with the
+            next one's first observation. And ``world.statistics`` of the ended episodes by their names on the
+            statistics channel, (ended,) each; nothing if none ended.
         """
-        self._restored = False
+        self.restored = False
         self.state, outcome = world.step(self.parameters.columns, self.state, actions.astype(np.float64))
         agents = self._agents(outcome.reward.astype(np.float32))
         self._begun_by_end = outcome.ended
@@ -115,7 +113,7 @@ class Areas:
         if not len(rows):
             return agents, {}
         of_episodes = world.statistics(self.state, outcome)
-        statistics = {f"{ACADEMY}/{name}": values[rows] for name, values in of_episodes.items()}
+        statistics = {f"{NAME}/{name}": values[rows] for name, values in of_episodes.items()}
         self._begin(rows)
         return self._with_ended(agents, rows, outcome.truncated), statistics
 
@@ -123,10 +121,10 @@ class Areas:
         observations = world.observation(self.parameters.columns, self.state)
         images = None if self._camera is None else self._pictures(np.arange(len(self)))
         done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
-        return Agents(self._ids.copy(), rewards, done, interrupted, observations, images)
+        return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, (observations,), images)
 
     def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: world.Bools) -> Agents:
-        """Puts the agents of ``rows``, as they were last, before all areas' agents, in whose place successors stand."""
+        """Puts the agents of ``rows``, as their episodes ended, before all agents, where their next ones begin."""
         front, begun = slice(0, len(rows)), len(rows) + rows
         done = np.zeros(len(rows) + len(last), dtype=np.bool_)
         interrupted = np.zeros_like(done)
@@ -135,13 +133,13 @@ class Areas:
         ids = np.concatenate([last.ids[rows], self._ids])
         rewards = np.concatenate([last.rewards[rows], last.rewards])
         rewards[begun] = 0.0
-        observations = np.concatenate([last.observations[rows], last.observations])
+        observations = np.concatenate([last.observations[0][rows], last.observations[0]])
         observations[begun] = world.observation(self.parameters.columns, self.state)[rows]
         images = None
         if last.images is not None:
             images = np.concatenate([last.images[rows], last.images])
             images[begun] = self._pictures(rows)
-        return Agents(ids, rewards, done, interrupted, observations, images)
+        return Agents.ungrouped(ids, rewards, done, interrupted, (observations,), images)
 
     def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
         assert self._camera is not None
@@ -156,5 +154,3 @@ class Areas:
         p = {name: column[areas] for name, column in self.parameters.columns.items()}
         begun = world.initial(p, self.config.num_opponents, [self._streams[area] for area in areas])
         self.state = self.state.merged(areas, begun)
-        self._ids[areas] = np.arange(self._next_id, self._next_id + len(areas))
-        self._next_id += len(areas)

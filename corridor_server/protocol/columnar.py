@@ -115,12 +115,12 @@ def write_output(behavior: str, name: str, agents: Agents, side_channel: bytes) 
         agents: In the order in which they are to be read; pictures of theirs don't travel this way.
         side_channel: Bytes beside them.
     """
-    layout = _agent_rows(agents.observations.shape[1], name)
+    layout = _agent_rows(agents.observations[0].shape[1], name)
     rows = layout.empty(len(agents.ids))
     rows["reward"] = agents.rewards
     rows["done"] = agents.done
     rows["interrupted"] = agents.interrupted
-    rows["observation"] = agents.observations
+    rows["observation"] = agents.observations[0]
     rows["id"] = (agents.ids[:, None] >> _SHIFTS) & 0x7F | _CONTINUED
     entry = _field(FIELD_1, behavior.encode()) + _field(FIELD_2, rows.tobytes())
     rl_output = _field(FIELD_2, entry) + (_field(FIELD_3, side_channel) if side_channel else b"")
@@ -138,7 +138,7 @@ def read_output(data: bytes, behavior: str, name: str, size: int) -> tuple[Agent
         return None
     ids = ((groups & 0x7F) << _SHIFTS).sum(axis=1, dtype=np.int32)
     reward, observation = rows["reward"].copy(), rows["observation"].copy()
-    agents = Agents(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), observation)
+    agents = Agents.ungrouped(ids, reward, done.astype(np.bool_), interrupted.astype(np.bool_), (observation,))
     return agents, found[2]
 
 

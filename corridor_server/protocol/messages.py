@@ -14,6 +14,7 @@ from google.protobuf.internal import builder
 SERVICE = "communicator_objects.UnityToExternalProto"
 EXCHANGE = f"/{SERVICE}/Exchange"
 API_VERSION = "1.5.0"
+ACADEMY = "AcademySingleton"  # what every Unity player calls itself
 OK, STOP = 200, 400  # a header's status: the session goes on, or ends
 MAX_MESSAGE_BYTES = 256 * 2**20  # either end receives; gRPC's own limit is 4 MiB
 

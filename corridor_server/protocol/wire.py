@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from corridor_server.protocol import columnar
 from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import (
+    ACADEMY,
     API_VERSION,
     OK,
     QUIT,
@@ -65,12 +66,12 @@ class WireError(ValueError):
     """A message from the trainer that can't be used."""
 
 
-def hello(academy: str, package_version: str) -> bytes:
-    """The player's first message (RL_INITIALIZATION_OUTPUT): what plays, and from which package."""
+def hello(package_version: str) -> bytes:
+    """The player's first message (RL_INITIALIZATION_OUTPUT): from which package it is, and what it can do or takes."""
     message = UnityMessageProto()
     message.header.status = OK
     output = message.unity_output.rl_initialization_output
-    output.name = academy
+    output.name = ACADEMY
     output.communication_version = API_VERSION
     output.package_version = package_version
     output.capabilities.baseRLCapabilities = True
@@ -78,6 +79,7 @@ def hello(academy: str, package_version: str) -> bytes:
     output.capabilities.compressedChannelMapping = True
     output.capabilities.hybridActions = True
     output.capabilities.trainingAnalytics = True
+    output.capabilities.variableLengthObservation = True
     output.capabilities.multiAgentGroups = True
     return _bytes(message)
 
@@ -97,7 +99,12 @@ def farewell() -> bytes:
 
 
 def output(
-    behavior: Behavior, agents: Agents, side_channel: bytes, introduce: bool, camera: Camera | None = None
+    behavior: Behavior,
+    agents: Agents,
+    side_channel: bytes,
+    introduce: bool,
+    camera: Camera | None = None,
+    hybrid_actions: bool = True,
 ) -> bytes:
     """A batch of agents.
 
@@ -107,9 +114,11 @@ def output(
         side_channel: Bytes for the trainer's side channels.
         introduce: Whether the behavior's parameters come along, as they do the first time that it has agents.
         camera: How the agents' pictures travel, if they have any.
+        hybrid_actions: Whether the trainer knows hybrid actions. One that does not reads the deprecated fields instead
+            of the behavior's action spec.
     """
     if not introduce and agents.images is None:
-        return columnar.write_output(behavior.name, behavior.observation, agents, side_channel)
+        return columnar.write_output(behavior.name, behavior.sensors[0], agents, side_channel)
     message = UnityMessageProto()
     message.header.status = OK
     rl_output = message.unity_output.rl_output
@@ -120,8 +129,9 @@ def output(
         brain.brain_name = behavior.name
         brain.is_training = True
         brain.action_spec.num_continuous_actions = behavior.continuous_actions
-        brain.vector_action_size_deprecated.append(behavior.continuous_actions)
-        brain.vector_action_space_type_deprecated = CONTINUOUS
+        if not hybrid_actions:
+            brain.vector_action_size_deprecated.append(behavior.continuous_actions)
+            brain.vector_action_space_type_deprecated = CONTINUOUS
     return _bytes(message)
 
 
@@ -206,14 +216,14 @@ def _bytes(message: Any) -> bytes:
 
 def _agent_infos(behavior: Behavior, agents: Agents, camera: Camera | None) -> list[Any]:
     infos = []
-    size = agents.observations.shape[1]
-    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations)
+    size = agents.observations[0].shape[1]
+    columns = (agents.ids, agents.rewards, agents.done, agents.interrupted, agents.observations[0])
     rows = zip(*(column.tolist() for column in columns), strict=True)
     for row, (agent_id, reward, done, interrupted, floats) in enumerate(rows):
         info = AgentInfoProto(id=agent_id, reward=reward, done=done, max_step_reached=interrupted)
         if agents.images is not None:  # sensors go by name, and C stands before V
             _add_picture(info, agents.images[row], camera or Camera())
-        observation = info.observations.add(name=behavior.observation, shape=[size], dimension_properties=[NO_PROPERTY])
+        observation = info.observations.add(name=behavior.sensors[0], shape=[size], dimension_properties=[NO_PROPERTY])
         observation.float_data.data.extend(floats)
         infos.append(info)
     return infos

@@ -203,7 +203,7 @@ sys.exit(main())
             "The player sent 6 bytes that are not a message",
         ),
         (
-            "agents.deciding.observations[3, 2] = np.nan",
+            "agents.deciding.observations[0][3, 2] = np.nan",
             "After step [0-9,]+: The player sent observation\\[2\\] = nan of agent [0-9]+ in area 3, but",
         ),
         (

@@ -84,9 +84,9 @@ wire.output = output_without_last_rewards
         "every_behavior_is_introduced_in_the_message_that_has_its_first_agents",
         """
 output, sent = wire.output, []
-def output_introducing_late(behavior, agents, side_channel, introduce, camera):
+def output_introducing_late(behavior, agents, side_channel, introduce, *rest):
     sent.append(agents)
-    return output(behavior, agents, side_channel, len(sent) == 2, camera)
+    return output(behavior, agents, side_channel, len(sent) == 2, *rest)
 wire.output = output_introducing_late
 """,
     ),
@@ -122,7 +122,7 @@ def reset_showing_the_past(self):
     past = world.observation(self.parameters.columns, self.state)
     agents = reset(self)
     if past.any():
-        agents.observations[:] = past
+        agents.observations[0][:] = past
     return agents
 areas.Areas.reset = reset_showing_the_past
 """,

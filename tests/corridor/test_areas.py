@@ -15,46 +15,48 @@ def areas(count: int = 3, **config: float) -> Areas:
     return Areas(CorridorConfig(**config), 0, range(count))  # type: ignore[arg-type]
 
 
-def test_every_episode_has_an_id_of_its_own():
+def test_an_agents_id_is_its_areas_number_over_episodes_and_resets():
     corridor = areas(max_episode_steps=4)
-    seen = list(corridor.reset().ids)
-    for _ in range(20):
-        agents, _ = corridor.step(IDLE)
-        if len(agents.ended):
-            seen += list(agents.deciding.ids)
-    assert len(seen) == len(set(seen)) == 18
+    for _ in range(3):
+        assert corridor.reset().ids.tolist() == [0, 1, 2]
+        for _ in range(10):
+            agents, _ = corridor.step(IDLE)
+            assert agents.deciding.ids.tolist() == [0, 1, 2]
+            assert agents.ended.ids.tolist() in ([], [0, 1, 2])
 
 
-def test_an_ended_agent_and_its_successor_come_in_one_batch():
+def test_an_area_looked_at_alone_has_the_agent_that_it_has_among_others():
+    assert Areas(CorridorConfig(), 0, [4]).reset().ids.tolist() == [4]
+
+
+def test_an_episodes_end_and_the_next_ones_beginning_come_in_one_batch():
     corridor = areas(max_episode_steps=1)
-    first = corridor.reset()
+    corridor.reset()
     agents, _ = corridor.step(IDLE)
     assert agents.done.tolist() == [True] * 3 + [False] * 3
-    assert np.array_equal(agents.ended.ids, first.ids)
+    assert agents.ids.tolist() == [0, 1, 2] * 2
     assert agents.ended.interrupted.all()
     assert not agents.deciding.interrupted.any()
-    assert not set(agents.ended.ids) & set(agents.deciding.ids)
     assert (agents.deciding.rewards == 0).all()
     assert np.allclose(agents.ended.rewards, -0.001)
-    assert not np.array_equal(agents.ended.observations, agents.deciding.observations)
+    assert not np.array_equal(agents.ended.observations[0], agents.deciding.observations[0])
 
 
-def test_only_the_ended_agents_successor_is_new_and_every_area_keeps_its_place():
+def test_only_where_one_ended_an_episode_begins_and_every_area_keeps_its_place():
     corridor = areas(max_episode_steps=4)
-    first = corridor.reset()
+    corridor.reset()
     corridor.step(IDLE)
     last, _ = corridor.step(IDLE)
     corridor.state.episode_steps[1] = 3
     agents, _ = corridor.step(IDLE)
     assert agents.done.tolist() == [True, False, False, False]
-    assert agents.ids[0] == first.ids[1]
-    assert agents.deciding.ids.tolist() == [first.ids[0], max(first.ids) + 1, first.ids[2]]
+    assert agents.ids.tolist() == [1, 0, 1, 2]
     assert agents.deciding.rewards[1] == 0.0
     assert (agents.deciding.rewards[[0, 2]] != 0.0).all()
     unmoved = layout.POSITION, layout.GOAL
     for part in unmoved:
-        assert np.array_equal(agents.deciding.observations[[0, 2], part], last.observations[[0, 2], part])
-        assert np.array_equal(agents.ended.observations[0, part], last.observations[1, part])
+        assert np.array_equal(agents.deciding.observations[0][[0, 2], part], last.observations[0][[0, 2], part])
+        assert np.array_equal(agents.ended.observations[0][0, part], last.observations[0][1, part])
 
 
 def test_statistics_come_with_every_end_and_only_then():
@@ -70,29 +72,27 @@ def test_a_reset_in_mid_episode_begins_new_episodes():
     corridor = areas()
     first = corridor.reset()
     corridor.step(IDLE)
-    assert not np.array_equal(corridor.reset().observations, first.observations)
+    assert not np.array_equal(corridor.reset().observations[0], first.observations[0])
 
 
 def test_two_resets_begin_two_episodes():
     corridor = areas()
-    assert not np.array_equal(corridor.reset().observations, corridor.reset().observations)
+    assert not np.array_equal(corridor.reset().observations[0], corridor.reset().observations[0])
 
 
 def test_a_reset_after_an_end_keeps_the_episode_that_already_began():
     corridor = areas(max_episode_steps=1)
     corridor.reset()
     begun = corridor.step(IDLE)[0].deciding
-    again = corridor.reset()
-    assert np.array_equal(begun.ids, again.ids)
-    assert np.array_equal(begun.observations, again.observations)
+    assert np.array_equal(begun.observations[0], corridor.reset().observations[0])
 
 
 def test_a_parameter_takes_effect_at_the_next_episode():
     corridor = areas(max_episode_steps=2)
     corridor.reset()
     corridor.set_parameter("goal_x", 5.0)
-    assert corridor.step(IDLE)[0].deciding.observations[:, 4] == pytest.approx(0.9)
-    assert corridor.step(IDLE)[0].deciding.observations[:, 4] == pytest.approx(0.5)
+    assert corridor.step(IDLE)[0].deciding.observations[0][:, 4] == pytest.approx(0.9)
+    assert corridor.step(IDLE)[0].deciding.observations[0][:, 4] == pytest.approx(0.5)
 
 
 def test_a_parameter_set_after_an_end_reaches_the_next_reset():
@@ -100,7 +100,7 @@ def test_a_parameter_set_after_an_end_reaches_the_next_reset():
     corridor.reset()
     corridor.step(IDLE)
     corridor.set_parameter("goal_x", 5.0)
-    assert corridor.reset().observations[:, 4] == pytest.approx(0.5)
+    assert corridor.reset().observations[0][:, 4] == pytest.approx(0.5)
 
 
 def test_a_parameter_that_is_set_again_to_the_same_changes_nothing():
@@ -109,15 +109,15 @@ def test_a_parameter_that_is_set_again_to_the_same_changes_nothing():
     corridor.reset()
     begun = corridor.step(IDLE)[0].deciding
     corridor.set_parameter("goal_x", 5.0)
-    assert np.array_equal(corridor.reset().ids, begun.ids)
+    assert np.array_equal(corridor.reset().observations, begun.observations)
 
 
 def test_a_ranges_own_name_sets_both_its_ends():
     corridor = areas()
     corridor.set_parameter("agent_spawn_x", -3.5)
-    assert corridor.reset().observations[:, 0] == pytest.approx(-0.35)
+    assert corridor.reset().observations[0][:, 0] == pytest.approx(-0.35)
     corridor.set_parameter("agent_spawn_x_max", -1.0)
-    assert len(set(corridor.reset().observations[:, 0])) == 3
+    assert len(set(corridor.reset().observations[0][:, 0])) == 3
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_ranges_own_name_sets_both_its_ends():
 def test_samplers_draw_anew_for_every_episode_and_area(sampler, low, high):
     corridor = areas(50)
     corridor.set_parameter("goal_x", sampler)
-    drawn = np.concatenate([corridor.reset().observations[:, 4] for _ in range(4)])
+    drawn = np.concatenate([corridor.reset().observations[0][:, 4] for _ in range(4)])
     assert len(set(drawn)) == 200
     assert low <= drawn.min() < drawn.max() <= high
     if isinstance(sampler, MultiRangeUniform):

@@ -127,11 +127,11 @@ def test_an_areas_episodes_do_not_depend_on_how_many_areas_there_are():
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (400, 7, 2)).astype(np.float32)
     many, alone = Areas(CorridorConfig(), 5, range(7)), Areas(CorridorConfig(), 5, [4])
-    assert np.array_equal(many.reset().observations[4], alone.reset().observations[0])
+    assert np.array_equal(many.reset().observations[0][4], alone.reset().observations[0][0])
     ended = 0
     for action in actions:
         (together, _), (single, _) = many.step(action), alone.step(action[4:5])
-        assert np.array_equal(together.deciding.observations[4], single.deciding.observations[0])
+        assert np.array_equal(together.deciding.observations[0][4], single.deciding.observations[0][0])
         assert together.deciding.rewards[4] == single.deciding.rewards[0]
         ended += len(single.ended)
     assert ended > 0
@@ -139,6 +139,8 @@ def test_an_areas_episodes_do_not_depend_on_how_many_areas_there_are():
 
 def test_different_seeds_and_areas_begin_differently():
     starts = [
-        tuple(Areas(CorridorConfig(), seed, range(2)).reset().observations[area]) for seed in (0, 1) for area in (0, 1)
+        tuple(Areas(CorridorConfig(), seed, range(2)).reset().observations[0][area])
+        for seed in (0, 1)
+        for area in (0, 1)
     ]
     assert len(set(starts)) == 4

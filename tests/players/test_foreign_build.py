@@ -11,7 +11,9 @@ import pytest
 import yaml
 from conftest import BIN
 
-BUILD = Path(__file__).parents[1] / "foreign" / "Corridor.x86_64"
+BUILD = Path(__file__).parents[1] / "unity" / "Build.x86_64"
+AREA = "sensors = [{ size = 13 }]\nagents = [{ period = 5 }]\ncontinuous = 2"
+CORRIDOR = f'[[behaviors]]\nname = "Corridor"\nworld = "corridor"\n{AREA}\n'
 
 
 def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
@@ -23,11 +25,6 @@ def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedPr
 def train(results: Path, port: int, *arguments: object, env: Path = BUILD) -> subprocess.CompletedProcess[str]:
     given = ("--run-id", "r", "--results-dir", results, "--base-port", port, "--env", env)
     return corridor("train", *given, *arguments)
-
-
-def test_the_build_shares_no_code_with_the_package():
-    imported = set(re.findall(r"^(?:import|from) (\w+)", BUILD.read_text(), re.MULTILINE))
-    assert imported == {"argparse", "grpc", "math", "random", "signal", "struct", "subprocess", "sys", "uuid"}
 
 
 @pytest.mark.slow
@@ -51,14 +48,16 @@ def test_two_processes_of_it_train_with_parameters_and_engine_settings(tmp_path,
     seeds = set()
     for number in range(2):
         log = (tmp_path / "r" / "run_logs" / f"Player-{number}.log").read_text()
-        for line in ("time scale 7", "parameter opponent_speed: 1.5", "parameter goal_x: 8.5", ", 8 agents,", "over"):
+        for line in ("time scale 7", "parameter opponent_speed: 1.5", "parameter goal_x: 8.5", "8 areas asked for"):
             assert line in log
-        seeds |= set(re.findall(r"^seed (\d+)", log))
+        lines = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
+        assert [each["id"] for each in lines[1:]] == list(range(8))
+        seeds |= set(re.findall(r"^seed (\d+)", log, re.MULTILINE))
     assert len(seeds) == 2
 
 
 def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
-    own = ("--env-args", "--behavior", "Drive", "--discrete", "3", "3", "--two-sensors")
+    own = ("--env-args", "--spec", "corridor_discrete")
     done = train(tmp_path, free_port, "--c", 0, "--num-areas", 8, "--steps", 2_000, "--eval-episodes", 2, *own)
     assert done.returncode == 0, done.stderr
     record = yaml.safe_load((tmp_path / "r" / "configuration.yaml").read_text())
@@ -73,19 +72,29 @@ def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("scene", "says"),
     [
         (
-            ("--behaviors", 2),
+            CORRIDOR + CORRIDOR.replace("Corridor", "Corridor1"),
             r"has 2 behaviors \(Corridor\?team=0, Corridor1\?team=0\), but one was expected; give all agents the same",
         ),
-        (("--discrete", 3), "1 discrete branches, but 2 continuous .*; set Continuous Actions to 2 and Discrete"),
-        (("--observations", 11), r"observations of shapes \[\(11,\)\], .*; set the vector observation's Space Size"),
-        (("--agents", 2), "has 2 agents, but preset paper trains one, .*; leave one agent in the scene, or take"),
+        (
+            CORRIDOR.replace("continuous = 2", "discrete = [3]"),
+            "1 discrete branches, but 2 continuous .*; set Continuous Actions to 2 and Discrete",
+        ),
+        (
+            CORRIDOR.replace("13", "11"),
+            r"observations of shapes \[\(11,\)\], .*; set the vector observation's Space Size",
+        ),
+        (
+            CORRIDOR.replace("{ period = 5 }", "{ period = 5 }, { period = 5 }"),
+            "has 2 agents, but preset paper trains one, .*; leave one agent in the scene, or take",
+        ),
     ],
 )
-def test_a_scene_that_does_not_fit(tmp_path, free_port, options, says):
-    done = train(tmp_path, free_port, "--preset", "paper", "--env-args", *options)
+def test_a_scene_that_does_not_fit(tmp_path, free_port, scene, says):
+    (tmp_path / "scene.toml").write_text(scene)
+    done = train(tmp_path, free_port, "--preset", "paper", "--env-args", "--spec", tmp_path / "scene.toml")
     message = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 1
     assert message.startswith("error: ")

@@ -113,6 +113,32 @@ def test_several_agents_are_refused():
         UnityToGymWrapper(environment)
 
 
+def test_several_agents_that_take_turns_are_refused():
+    env, _ = wrap(({0: 0.0}, {}), ONE)
+    env.reset()
+    with pytest.raises(UnityGymException, match="Agent 0 asks .* agent 1 goes on: .* several agents that take turns"):
+        env.step([0.0, 0.0])
+
+
+def test_an_id_may_be_an_agents_for_life_or_new_for_each_episode():
+    env, _ = wrap(({}, {1: (0.0, False)}), ONE, ({7: 0.0}, {1: (0.0, False)}), ({7: 0.0}, {}), ({7: 0.5}, {}))
+    env.reset()
+    assert env.step([0.0, 0.0])[2]
+    env.reset()
+    assert env.step([0.0, 0.0])[2]
+    env.reset()
+    assert env.step([0.0, 0.0])[1] == 0.5
+
+
+def test_an_agent_that_ends_before_its_first_decision_is_no_episode():
+    env, _ = wrap(({}, {5: (9.0, False)}), ({1: 0.5}, {}), ({}, {5: (9.0, False), 1: (-1.0, True)}))
+    env.reset()
+    assert env.step([0.0, 0.0])[1:4] == (0.5, False, False)
+    observation, reward, terminated, truncated, _ = env.step([0.0, 0.0])
+    assert (reward, terminated, truncated) == (-1.0, False, True)
+    assert observation == pytest.approx([1.03, 1.03, 1.03])
+
+
 def test_mixed_actions_are_refused():
     with pytest.raises(UnityGymException, match="2 continuous actions and 1 discrete branches"):
         wrap(actions=ActionSpec(2, (3,)))

@@ -6,11 +6,11 @@ import pytest
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol.side_channels import read_engine_setting, read_environment_parameter
 from trainer.commands.train import Train
-from trainer.config import EngineConfig
+from trainer.config import EngineConfig, RunConfig
 from trainer.corridor import CORRIDOR
 from trainer.errors import TrainerError
 from trainer.main import main
-from trainer.players.settings import channels
+from trainer.players.settings import channels, tell_corridor
 
 FILE = """
 engine_settings:
@@ -91,7 +91,7 @@ def test_our_player_takes_them(open_corridor, tmp_path):
         ("behaviors: {Corridor: {}}", "has the section 'behaviors', .* an option of corridor train"),
         ("engine_settings: 5", "engine_settings in .* is 5, but lines 'name: value' were expected"),
         ("engine_settings: {speed: 5}", "'speed' is no engine setting; known ones are width, height"),
-        ("engine_settings: {time_scale: 0}", "time_scale is 0, but a number from 0.01 to 100 was expected"),
+        ("engine_settings: {time_scale: 0}", "time_scale is 0, but a number from 1 to 1000 was expected"),
         ("engine_settings: {width: 84.5}", "width is 84.5, but a whole number from 1 to 16384 was expected"),
         ("engine_settings: {width: wide}", "width is wide"),
         ("engine_settings: {width: true}", "width is True, but a whole number"),
@@ -123,6 +123,38 @@ def test_an_environment_parameter_of_another_form(text):
 def test_another_build_may_have_any_parameter(tmp_path):
     run = config(tmp_path, "environment_parameters: {gravity: -9.8}", env="Other.x86_64")
     assert sent(run)[1]["gravity"] == pytest.approx(-9.8)
+
+
+def test_the_presets_corridor_is_for_our_player_alone_until_another_is_known_to_be_one():
+    run = Train("r", env="Other.x86_64", env_param=("gravity=-9", "goal_x=5"), penalty=0.5).run_config()
+    _, parameters = channels(run, 7)
+    told = lambda: dict(read_environment_parameter(bytes(each)) for each in parameters.message_queue)  # noqa: E731
+    assert told() == {"gravity": -9.0, "goal_x": 5.0}, "what was given, though goal_x is the preset's too"
+    parameters.message_queue.clear()
+    tell_corridor(run, parameters)
+    kept_back = {name: np.float32(value) for name, value in CORRIDOR.items() if name != "goal_x"}
+    assert told() == {"failure_penalty": 0.5} | kept_back
+
+
+def test_the_editor_takes_a_lower_time_scale_than_a_build():
+    Train("r", env="Other.x86_64", engine={"time_scale": 200.0}).run_config()
+    Train("r", env="editor", engine={"time_scale": 100.0}).run_config()
+    with pytest.raises(TrainerError, match="--time-scale is 200, but the Unity editor takes at most 100; lower it, or"):
+        Train("r", env="editor", engine={"time_scale": 200.0}).run_config()
+
+
+def test_a_run_of_before_with_a_time_scale_below_1_is_read_as_unity_took_it():
+    values = Train("r").run_config().as_dict()
+    values["engine"]["time_scale"] = 0.5
+    assert RunConfig.from_dict(values).engine.time_scale == 1.0
+
+
+def test_a_build_renders_nothing_unless_it_shall():
+    assert not Train("r").run_config().graphics
+    assert not Train("r", no_graphics=True).run_config().graphics
+    assert Train("r", graphics=True).run_config().graphics
+    with pytest.raises(TrainerError, match="--graphics and --no-graphics contradict each other"):
+        Train("r", graphics=True, no_graphics=True)
 
 
 def test_everything_after_env_args_is_the_players(monkeypatch):

@@ -103,7 +103,7 @@ def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_pat
         ),
         (("--max-lifetime-restarts", -2), "--max-lifetime-restarts is -2, but a whole number from 0 up"),
         (("--restarts-rate-limit-period-s", 0), "--restarts-rate-limit-period-s is 0, but seconds above 0"),
-        (("--time-scale", 1000), "time_scale is 1000.0, but a number from 0.01 to 100 was expected"),
+        (("--time-scale", 0.5), "time_scale is 0.5, but a number from 1 to 1000 was expected"),
     ],
 )
 def test_options_out_of_their_range(tmp_path, options, says):

@@ -1,6 +1,7 @@
 """The C# that docs/unity.md gives to a scene's author, compiled, and held against the contract.
 
-Unity is not there: ``foreign/Scene.cs`` stands in for the classes that the agent uses, and the foreign player speaks.
+Unity is not there: ``unity/Scene.cs`` stands in for the classes that the agent uses, and the stand-in for its runtime
+speaks.
 """
 
 import re
@@ -13,7 +14,7 @@ import pytest
 from conftest import BIN
 
 ROOT = Path(__file__).parents[2]
-FOREIGN = ROOT / "tests" / "foreign"
+UNITY = ROOT / "tests" / "unity"
 
 pytestmark = pytest.mark.skipif(shutil.which("mcs") is None, reason="Mono's C# compiler (mono-mcs) is not installed")
 
@@ -21,10 +22,11 @@ pytestmark = pytest.mark.skipif(shutil.which("mcs") is None, reason="Mono's C# c
 def build(folder: Path, agent: str) -> Path:
     """A player whose agent is the given C#."""
     (folder / "CorridorAgent.cs").write_text(agent)
-    sources = (folder / "CorridorAgent.cs", FOREIGN / "Scene.cs")
+    sources = (folder / "CorridorAgent.cs", UNITY / "Scene.cs")
     subprocess.run(["mcs", "-warnaserror+", f"-out:{folder}/scene.exe", *sources], check=True)
     player = folder / "Corridor.x86_64"
-    command = shlex.join([str(BIN / "python"), str(FOREIGN / "Corridor.x86_64"), "--scene", f"mono {folder}/scene.exe"])
+    options = ("--spec", "scene", "--scene", f"mono {folder}/scene.exe")
+    command = shlex.join([str(BIN / "python"), str(UNITY / "Build.x86_64"), *options])
     player.write_text(f'#!/bin/sh\nexec {command} "$@"\n')
     player.chmod(0o755)
     return player

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionSpec
-from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from mlagents_envs.side_channel.stats_side_channel import StatsAggregationMethod, StatsSideChannel
 from scripted import Scripted, spec
 from stable_baselines3.common.vec_env import VecMonitor
 
@@ -63,6 +63,39 @@ def test_new_agents_take_the_ended_ones_slots_in_order():
     assert dones.tolist() == [True, False, True]
 
 
+def test_agents_that_keep_their_ids_keep_their_slots_whatever_the_order_in_which_they_come():
+    env, environment = slots(
+        ({1: 0, 2: 0, 3: 0}, {}),
+        ({3: 0, 2: 0.2, 1: 0}, {3: (0.3, False), 1: (0.1, False)}),
+        ({1: 1.1, 2: 1.2, 3: 1.3}, {}),
+    )
+    observations, rewards, dones, infos = act(env, 0, 0, 0)
+    assert observations[:, 0] == pytest.approx([1.01, 2.01, 3.01])
+    assert rewards == pytest.approx([0.1, 0.2, 0.3])
+    assert dones.tolist() == [True, False, True]
+    assert [info["terminal_observation"][0] for info in (infos[0], infos[2])] == pytest.approx([1.01, 3.01])
+    _, rewards, dones, _ = act(env, 0.1, 0.2, 0.3)
+    assert environment.sent[1].continuous[:, 0] == pytest.approx([0.3, 0.2, 0.1])
+    assert rewards == pytest.approx([1.1, 1.2, 1.3])
+    assert not dones.any()
+
+
+def test_an_agent_that_keeps_its_id_keeps_its_slot_beside_one_that_is_followed_by_another():
+    env, _ = slots(({1: 0, 2: 0, 3: 0}, {}), ({9: 0, 3: 0, 2: 0}, {1: (0.1, False), 3: (0.3, False)}))
+    assert act(env, 0, 0, 0)[0][:, 0] == pytest.approx([9.01, 2.01, 3.01])
+
+
+def test_an_end_that_comes_alone_is_of_the_agent_that_asks_in_the_next_message():
+    env, environment = slots(({0: 0, 1: 0}, {}), ({}, {1: (-1.0, True)}), ({0: 0.2, 1: 0}, {}), ({0: 0.3, 1: 0.4}, {}))
+    observations, rewards, dones, infos = act(env, 0, 0)
+    assert observations[:, 0] == pytest.approx([0.02, 1.02])
+    assert rewards == pytest.approx([0.2, -1.0])
+    assert dones.tolist() == [False, True]
+    assert infos[1]["terminal_observation"] == pytest.approx([1.01])
+    assert act(env, 0, 0)[1] == pytest.approx([0.3, 0.4])
+    assert len(environment.sent) == 2
+
+
 def test_an_end_between_two_decisions_is_waited_through():
     """Unity sends an episode's end when it happens; the next request may come in a later message."""
     env, environment = slots(({1: 0, 2: 0}, {}), ({}, {1: (-1.0, False)}), ({3: 0, 2: 0.2}, {}))
@@ -102,10 +135,32 @@ def test_an_agent_that_appears_from_nowhere_is_refused():
         act(env, 0, 0)
 
 
-def test_an_end_of_an_unknown_agent_is_refused():
-    env, _ = slots(({1: 0}, {}), ({1: 0}, {5: (0.0, False)}))
-    with pytest.raises(TrainerError, match="Agent 5 ended, but no running episode has that id"):
-        act(env, 0)
+def test_an_agent_that_ends_before_its_first_decision_is_no_episode():
+    env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0.1, 2: 0.2}, {5: (9.0, False)}), ({1: 0.3, 2: 0.4}, {}))
+    _, rewards, dones, infos = act(env, 0, 0)
+    assert rewards == pytest.approx([0.1, 0.2])
+    assert (dones.any(), infos) == (False, [{}, {}])
+    assert act(env, 0, 0)[1] == pytest.approx([0.3, 0.4])
+
+
+def test_statistics_are_nobodys_while_an_agent_is_dropped():
+    """The one value that came may be the dropped agent's as well as the ended one's."""
+    statistics = StatsSideChannel()
+    ends: dict[int, tuple[float, bool]] = {1: (0.0, True), 5: (0.0, False)}
+    environment = Scripted(spec([(1,)], CONTINUOUS), [({1: 0}, {}), ({2: 0}, ends), ({3: 0}, {2: (0.0, False)})])
+    env = UnityVecEnv(environment, statistics)
+    env.reset()
+    statistics.stats["Corridor/Success"].append((1.0, StatsAggregationMethod.AVERAGE))
+    assert "is_success" not in act(env, 0)[3][0]
+    statistics.stats["Corridor/Success"].append((1.0, StatsAggregationMethod.AVERAGE))
+    assert act(env, 0)[3][0]["is_success"] is True
+
+
+def test_messages_in_which_nobody_asks_yet_are_waited_through_after_a_reset():
+    env, environment = slots(({}, {}), ({}, {4: (0.0, False)}), ({1: 0, 2: 0}, {}), ({}, {}), ({2: 0, 1: 0}, {}))
+    assert env.num_envs == 2
+    assert env.reset()[:, 0] == pytest.approx([2.04, 1.04])
+    assert (environment.resets, environment.sent) == (2, [])
 
 
 def test_visual_observations_are_refused():
@@ -119,15 +174,21 @@ def test_a_nan_action_names_its_area():
         act(env, 0, float("nan"))
 
 
-def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor):
+@pytest.mark.parametrize("timing", ["together", "unity"])
+def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor, timing):
     import gymnasium
 
     areas, statistics = 5, StatsSideChannel()
-    env = VecMonitor(UnityVecEnv(open_corridor(seed=2, num_areas=areas, side_channels=[statistics]), statistics))
+    player = open_corridor(seed=2, num_areas=areas, side_channels=[statistics], env_args=["--decision-timing", timing])
+    env = VecMonitor(UnityVecEnv(player, statistics))
     oracle = [gymnasium.make("corridor_server:Corridor-v0", area=area) for area in range(areas)]
-    assert np.array_equal(env.reset(), [each.reset(seed=2)[0] for each in oracle])
+    begun = np.array([each.reset(seed=2)[0] for each in oracle])
+    if timing == "unity":  # acts once before the first request
+        begun = np.array([each.step(np.zeros(2, np.float32))[0] for each in oracle])
+    assert np.array_equal(env.reset(), begun)
     rng = np.random.default_rng(0)
     ended = 0
+    unseen = [int(timing == "unity")] * areas  # steps of the episode before its first request
     for _ in range(600):
         actions = rng.uniform(-1, 1, (areas, 2)).astype(np.float32)
         observations, rewards, dones, infos = env.step(actions)
@@ -141,7 +202,8 @@ def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor):
                 assert infos[slot]["is_success"] == info["is_success"]
                 expected = {f"Corridor/{name}": np.float32(value) for name, value in info["statistics"].items()}
                 assert infos[slot]["statistics"] == expected
-                assert infos[slot]["episode"]["l"] == info["statistics"]["Episode Length"]
+                assert infos[slot]["episode"]["l"] == info["statistics"]["Episode Length"] - unseen[slot]
+                unseen[slot] = 0
                 observation, _ = each.reset()
             assert np.array_equal(observations[slot], observation)
     assert ended > 3

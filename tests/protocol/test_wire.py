@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "golden"))
 from record import RECORD, converse, replies
 
 FLOATS = st.floats(-(2.0**99), 2.0**99, width=32)
-IDS = st.integers(1, 2**31 - 1)
+IDS = st.integers(0, 2**31 - 1)
 
 
-BEHAVIOR = Behavior("Corridor?team=0", 2, "VectorSensor_size13")
+BEHAVIOR = Behavior("Corridor?team=0", 2, ("VectorSensor_size13",))
 
 
 @st.composite
@@ -35,12 +35,12 @@ def batches(draw: st.DrawFn) -> Agents:
     count = draw(st.integers(1, 12))
     ended = draw(st.integers(0, count))
     interrupted = draw(arrays.arrays(np.bool_, ended))
-    return Agents(
+    return Agents.ungrouped(
         draw(arrays.arrays(np.int32, count, elements=IDS)),
         draw(arrays.arrays(np.float32, count, elements=FLOATS)),
         np.arange(count) < ended,
         np.concatenate([interrupted, np.zeros(count - ended, np.bool_)]),
-        draw(arrays.arrays(np.float32, (count, 13), elements=FLOATS)),
+        (draw(arrays.arrays(np.float32, (count, 13), elements=FLOATS)),),
     )
 
 
@@ -53,13 +53,31 @@ def test_mlagents_envs_reads_the_batch_that_was_written(batch):
     infos = later.rl_output.agentInfos[BEHAVIOR.name].value
     spec = behavior_spec_from_proto(introduction.rl_initialization_output.brain_parameters[0], infos[0])
     assert spec.action_spec.continuous_size == BEHAVIOR.continuous_actions
-    assert [observation.name for observation in spec.observation_specs] == [BEHAVIOR.observation]
+    assert [observation.name for observation in spec.observation_specs] == [*BEHAVIOR.sensors]
     decision, terminal = steps_from_proto(infos, spec)
     for read, written in ((decision, batch.deciding), (terminal, batch.ended)):
         assert np.array_equal(read.agent_id, written.ids)
         assert np.array_equal(read.reward, written.rewards)
-        assert np.array_equal(read.obs[0], written.observations)
+        assert np.array_equal(read.obs[0], written.observations[0])
     assert np.array_equal(terminal.interrupted, batch.ended.interrupted)
+
+
+@pytest.mark.parametrize("hybrid_actions", [True, False])
+def test_only_a_trainer_without_hybrid_actions_gets_the_deprecated_fields(hybrid_actions):
+    done = np.zeros(1, np.bool_)
+    batch = Agents(np.zeros(1, np.int32), np.zeros(1, np.float32), done, done, np.zeros((1, 13), np.float32))
+    message = UnityMessageProto.FromString(wire.output(BEHAVIOR, batch, b"", True, None, hybrid_actions))
+    [brain] = message.unity_output.rl_initialization_output.brain_parameters
+    assert brain.action_spec.num_continuous_actions == 2
+    assert list(brain.vector_action_size_deprecated) == ([] if hybrid_actions else [2])
+    assert brain.vector_action_space_type_deprecated == (0 if hybrid_actions else wire.CONTINUOUS)
+
+
+def test_the_player_says_what_unitys_says():
+    said = UnityMessageProto.FromString(wire.hello("3.0.0")).unity_output.rl_initialization_output
+    assert (said.name, said.communication_version, said.package_version) == ("AcademySingleton", "1.5.0", "3.0.0")
+    capabilities = said.capabilities
+    assert [getattr(capabilities, name) for name in capabilities.DESCRIPTOR.fields_by_name] == [True] * 7
 
 
 @given(

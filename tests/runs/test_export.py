@@ -1,5 +1,6 @@
 """``corridor export``: the policy as ML-Agents names it, equal to Stable-Baselines3's."""
 
+import dataclasses
 import subprocess
 from pathlib import Path
 
@@ -212,8 +213,8 @@ def test_a_file_that_cant_be_written(run, tmp_path):
 def test_a_policy_of_another_form_says_why():
     behavior = spec([(3,)], ActionSpec.create_continuous(1))
     stages = stages_on(behavior)
-    stages.model = SAC("MlpPolicy", _Nobody(1, behavior), buffer_size=10, learning_starts=1)
+    model = SAC("MlpPolicy", _Nobody(1, behavior), buffer_size=10, learning_starts=1)
     with pytest.raises(
         TrainerError, match=r"A policy of SAC \(SACPolicy\) can't be exported; train with ppo, a2c or trpo"
     ):
-        policy_as_onnx(stages, behavior)
+        policy_as_onnx(dataclasses.replace(stages, model=model), behavior)

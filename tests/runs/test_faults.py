@@ -62,6 +62,22 @@ def test_the_papers_preset_resumes_bit_for_bit_too(tmp_path, free_port):
 
 
 @pytest.mark.slow
+def test_unitys_decision_timing_resumes_bit_for_bit_too(tmp_path, free_port):
+    """An episode is an idle step and 64 decisions: the last one, and the RESET after it, end every rollout of 256."""
+    player = tmp_path / "player"
+    player.write_text(f'#!/bin/sh\nexec {BIN / "corridor-server"} --decision-timing unity "$@"\n')
+    player.chmod(0o755)
+    options = ("--env", player, "--env-param", "max_episode_steps=65", "--env-param", "failure_return=-999")
+    options += ("--preset", "paper", "--steps", 1_000, "--eval-episodes", 1)
+    whole, cut = (Run(tmp_path, name, free_port, *options) for name in ("whole", "cut"))
+    assert whole.finish() == 0, whole.output
+    assert stop_with(cut, signal.SIGTERM, 256, 0.01) == 130
+    assert cut.finish("--resume") == 0, cut.output
+    cut.equals(whole)
+    assert whole.summary()["episodes"] == 16
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_stops_the_run_cleanly_and_the_rest_is_as_uncut(uncut, tmp_path, free_port, number):
     run = Run(tmp_path, "stopped", free_port, *SHORT)

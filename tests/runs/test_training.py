@@ -74,7 +74,7 @@ def test_the_summary_has_the_contracts_keys(run):
     evaluation = summary["evaluation"]
     assert list(evaluation) == [
         "episodes", "success_rate", "mean_return", "mean_episode_length", "opponent_contact_rate", "wall_contact_rate",
-        "mean_success_length",
+        "mean_success_length", "success_unknown",
     ]  # fmt: skip
     assert evaluation["episodes"] == 20
     assert (evaluation.pop("mean_success_length") is None) == (evaluation["success_rate"] == 0)

@@ -96,11 +96,18 @@ def test_status_400_at_every_point_is_an_orderly_end(player, at):
     assert ours.process.wait(15) == 0
 
 
-@pytest.mark.parametrize("at", ["hello", "acknowledgement", "reset", "step"])
-def test_a_connection_cut_at_every_point_says_so(player, at):
+@pytest.mark.parametrize("at", ["reset", "step"])
+def test_a_cut_connection_is_an_end_of_the_session(player, at):
     ours = player().reach(at)
     ours.trainer.cut()
-    ours.ends(1, "it stopped or was killed")
+    ours.ends(0, "it stopped or was killed")
+
+
+@pytest.mark.parametrize("at", ["hello", "acknowledgement"])
+def test_a_connection_cut_in_the_handshake_says_that_nobody_plays_on(player, at):
+    ours = player().reach(at)
+    ours.trainer.cut()
+    ours.ends(0, "That was in the handshake, where Unity's player would go on by itself; this one ends.")
 
 
 def test_quit_at_once(player):
@@ -117,13 +124,12 @@ def test_quit_before_the_handshake_is_over(player):
     assert ours.process.wait(15) == 0
 
 
-def test_a_storm_of_resets_keeps_the_ids_unique(player):
-    ours = player().begin()
-    seen: set[int] = set()
+@pytest.mark.parametrize("timing", ["together", "unity"])
+def test_a_storm_of_resets_keeps_the_ids(player, timing):
+    ours = player("--num-areas", "2", "--decision-timing", timing).begin()
     for _ in range(500):
-        ids = {info.id for info in ours.trainer.reset().rl_output.agentInfos[BEHAVIOR].value}
-        assert not ids & seen
-        seen |= ids
+        infos = ours.trainer.reset().rl_output.agentInfos[BEHAVIOR].value
+        assert [(info.id, info.done) for info in infos] == [(0, False), (1, False)]
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,9 @@ def study(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def run_ids(folder: Path) -> list[str]:
-    return sorted(path.parent.name for path in folder.glob("*/summary.json"))
+    return sorted(
+        path.parent.name for path in folder.glob("[!.]*/summary.json")
+    )  # one that is copied begins with a dot
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ def _echo(areas: int) -> Iterator[MeasuringProcess]:
     """A bare gRPC server that answers as many bytes as a STEP has, and a client that sends as many as a batch has."""
     size = CorridorConfig().observation_size
     flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, size), np.float32)
-    agents = Agents(np.zeros(areas, np.int32), observations[:, 0], flags, flags, observations)
+    agents = Agents.ungrouped(np.zeros(areas, np.int32), observations[:, 0], flags, flags, (observations,))
     request = len(columnar.write_output(BEHAVIOR, f"VectorSensor_size{size}", agents, b""))
     reply = columnar.write_step(BEHAVIOR, np.zeros((areas, 2), np.float32), b"")
     server, port = serve(lambda data, context: reply)

@@ -67,6 +67,10 @@ class Train(Options):
     """Subtracted from the reward when an episode fails; 0 for the paper's case study B."""
     config: Path | None = None
     """YAML file with engine_settings and environment_parameters, as mlagents-learn's."""
+    graphics: bool = False
+    """Launched builds open a window and render, which a scene with a camera needs."""
+    no_graphics: bool = False
+    """Launched builds render nothing and need no display; the default here, where mlagents-learn renders."""
     env_param: tuple[str, ...] = ()
     """Environment parameters, NAME=NUMBER; over those of the file."""
     env_args: tuple[str, ...] = ()
@@ -96,6 +100,8 @@ class Train(Options):
                 )
         if self.env == "editor" and self.num_envs != 1:
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        if self.graphics and self.no_graphics:
+            raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
         if self.algo == "ddpg" and self.resume:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
 
@@ -122,6 +128,7 @@ class Train(Options):
             from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
             num_envs=self.num_envs,
             env_args=list(self.env_args),
+            graphics=self.graphics,
             engine=engine_config({**engine, **self.engine}),
             environment_parameters=environment_parameters(self.env_param, parameters, self.env == "builtin"),
         )

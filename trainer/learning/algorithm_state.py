@@ -99,7 +99,7 @@ class Progress:
         self._model = model
 
     def state_dict(self) -> dict[str, Any]:
-        """``env_steps``, ``updates``, the window's ``r``, ``l`` and ``success``, and ``logged``.
+        """``env_steps``, ``updates``, the window's ``r`` and ``l``, and ``logged``.
 
         Raises:
             TrainerError: A loss is NaN or infinite.
@@ -116,7 +116,6 @@ class Progress:
             "updates": getattr(model, "_n_updates", 0),
             "r": np.array([episode["r"] for episode in episodes]),
             "l": np.array([episode["l"] for episode in episodes]),
-            "success": np.array(list(model.ep_success_buffer or ())),
             "logged": {tag: [_plain(value), list(excluded[tag] or ())] for tag, value in recorded.items()},
         }
 
@@ -129,7 +128,7 @@ class Progress:
         model = self._model
         episodes = [{"r": r, "l": length} for r, length in zip(state["r"], state["l"], strict=True)]
         model.ep_info_buffer = deque(episodes, model._stats_window_size)
-        model.ep_success_buffer = deque(state["success"], model._stats_window_size)
+        model.ep_success_buffer = deque(maxlen=model._stats_window_size)
         model.num_timesteps = state["env_steps"]
         model._n_updates = state["updates"]
         for tag, (value, excluded) in state["logged"].items():

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -46,12 +47,16 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         timeout_wait: Seconds to wait for each message of the player.
         host: Where to listen. The protocol has no authentication: anything but loopback trusts the network.
 
+    Attributes:
+        end_announced: Whether the player has said that it stops by itself (any status but 200).
+
     Raises:
         UnityWorkerInUseException: The port is taken.
     """
 
     def __init__(self, worker_id: int, base_port: int, timeout_wait: float, host: str = "localhost") -> None:
         super().__init__(worker_id, base_port)
+        self.end_announced = False
         self._timeout_wait = timeout_wait
         # From the player: a message's bytes, or None when its connection broke. To the player: its next message.
         self._received: SimpleQueue[bytes | None] = SimpleQueue()
@@ -94,6 +99,9 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
 
         if not context.add_callback(ended):
             self._received.put(None)
+        if not request.startswith(HEADER_OK):
+            with suppress(UnityCommunicationException):  # which the trainer's thread will raise
+                self.end_announced = parse(request).header.status != OK
         self._received.put(request)
         reply = self._replies.get()
         answered = True

@@ -10,10 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
-from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityException
+from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityException, UnityObservationException
 
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.columnar import read_output, write_step
+from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse, serialise
 from trainer.players.failures import BadNumbers
 from trainer.players.location import LOOPBACK
@@ -39,6 +40,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         port: Where the player finds the trainer.
         host: Where to listen.
         number: Of several players; names the log of one that is launched.
+        graphics: Whether a launched player shall open a window and render.
         **options: ``UnityEnvironment``'s.
 
     Attributes:
@@ -46,16 +48,28 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             observations, encoding, waiting and decoding.
     """
 
-    def __init__(self, file_name: str | None, port: int, host: str = LOOPBACK, number: int = 0, **options: Any) -> None:
+    _env_specs: dict[str, BehaviorSpec]
+
+    def __init__(
+        self,
+        file_name: str | None,
+        port: int,
+        host: str = LOOPBACK,
+        number: int = 0,
+        graphics: bool = False,
+        **options: Any,
+    ) -> None:
         self._host = host
         self.exchange_seconds = 0.0
         self._plain: _Plain | None = None
         worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
         try:
-            super().__init__(file_name, worker_id=worker_id, base_port=port - worker_id, no_graphics=True, **options)
+            super().__init__(
+                file_name, worker_id=worker_id, base_port=port - worker_id, no_graphics=not graphics, **options
+            )
         except (UnityException, OSError):
             if hasattr(self, "_communicator"):
-                self._close(0)
+                self.kill()
             atexit.unregister(self._close)
             raise
 
@@ -70,8 +84,8 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         return None if self._process is None else int(self._process.pid)
 
     def kill(self) -> None:
-        """Closes the environment without waiting for a player that hangs."""
-        self._close(0)
+        """Closes the environment without waiting for a player that hangs; one that announced its end may finish."""
+        self._close(None if self._communicator.end_announced else 0)
 
     def _close(self, timeout: int | None = None) -> None:
         process = self._process
@@ -86,10 +100,19 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         self._plain = _plain(self.behavior_specs)
 
     def _update_state(self, output: Any) -> None:
+        sent = self._env_specs
+        self._env_specs, turned = channels_last(output.agentInfos, sent)
         try:
             super()._update_state(output)
         except RuntimeError as error:  # what mlagents_envs raises for NaN or Inf, and for nothing else
             raise _bad_number(output) from error
+        except (OSError, SyntaxError) as error:  # Pillow's
+            raise UnityObservationException(f"The player sent a picture that can't be read ({error}).") from error
+        finally:
+            self._env_specs = sent
+        for behavior, index in turned:
+            for steps in self._env_state[behavior]:
+                steps.obs[index] = steps.obs[index].transpose(0, 3, 1, 2)
 
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
@@ -165,7 +188,7 @@ def _plain(specs: Mapping[str, BehaviorSpec]) -> _Plain | None:
 
 
 def _steps(agents: Agents) -> tuple[DecisionSteps, TerminalSteps]:
-    for values, field in ((agents.observations, "observation"), (agents.rewards, "reward")):
+    for values, field in ((agents.observations[0], "observation"), (agents.rewards, "reward")):
         finite = np.isfinite(values)
         if not finite.all():
             row, *component = np.argwhere(~finite)[0].tolist()
@@ -175,12 +198,12 @@ def _steps(agents: Agents) -> tuple[DecisionSteps, TerminalSteps]:
 
 def _decision(agents: Agents) -> DecisionSteps:
     none = np.zeros(len(agents), dtype=np.float32)
-    return DecisionSteps([agents.observations], agents.rewards, agents.ids, None, [0] * len(agents), none)
+    return DecisionSteps(list(agents.observations), agents.rewards, agents.ids, None, [0] * len(agents), none)
 
 
 def _terminal(agents: Agents) -> TerminalSteps:
     none = np.zeros(len(agents), dtype=np.float32)
-    observations, groups = [agents.observations], [0] * len(agents)
+    observations, groups = list(agents.observations), [0] * len(agents)
     return TerminalSteps(observations, agents.rewards, agents.interrupted, agents.ids, groups, none)
 
 

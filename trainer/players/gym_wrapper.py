@@ -124,17 +124,19 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         else:
             actions.add_discrete(np.asarray(action, dtype=np.int32).reshape(1, -1))
         self._env.set_actions(self.name, actions)
-        self._env.step()
-        decision, terminal = self._env.get_steps(self.name)
-        while not len(decision) and not len(terminal):
-            self._env.step()
-            decision, terminal = self._env.get_steps(self.name)
-        self._check_agents(max(len(decision), len(terminal)))
-        if not len(terminal):
-            return self._observation(decision), float(decision.reward[0]), False, False, {"step": decision}
-        self._needs_reset = True
-        truncated = bool(terminal.interrupted[0])
-        return self._observation(terminal), float(terminal.reward[0]), not truncated, truncated, {"step": terminal}
+        decision, terminal = self._next_steps()
+        ended = np.flatnonzero(terminal.agent_id == self._agent)
+        if len(ended):
+            self._needs_reset = True
+            row = int(ended[0])
+            truncated, reward = bool(terminal.interrupted[row]), float(terminal.reward[row])
+            return self._observation(terminal, row), reward, not truncated, truncated, {"step": terminal}
+        if decision.agent_id[0] != self._agent:
+            raise UnityGymException(
+                f"Agent {decision.agent_id[0]} asks for a decision while the episode of agent {self._agent} goes on: "
+                "the environment has several agents that take turns, but a Gymnasium environment has one."
+            )
+        return self._observation(decision), float(decision.reward[0]), False, False, {"step": decision}
 
     def render(self) -> NDArray[Any] | None:
         """The latest first visual observation, as the agent got it; None without one. Draws no new frame."""
@@ -150,11 +152,21 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             self._env.step()
             decision, _ = self._env.get_steps(self.name)
         self._check_agents(len(decision))
+        self._agent = int(decision.agent_id[0])
         return decision
 
-    def _observation(self, steps: DecisionSteps | TerminalSteps) -> Observation:
-        images = [self._pixels(array[0]) for array in steps.obs if array.ndim == 4]
-        vectors = [array[0] for array in steps.obs if array.ndim == 2]
+    def _next_steps(self) -> tuple[DecisionSteps, TerminalSteps]:
+        """Runs the player until its agent asks or ends; one that ends before it ever asked is no episode."""
+        while True:
+            self._env.step()
+            decision, terminal = self._env.get_steps(self.name)
+            self._check_agents(len(decision))
+            if len(decision) or self._agent in terminal.agent_id:
+                return decision, terminal
+
+    def _observation(self, steps: DecisionSteps | TerminalSteps, row: int = 0) -> Observation:
+        images = [self._pixels(array[row]) for array in steps.obs if array.ndim == 4]
+        vectors = [array[row] for array in steps.obs if array.ndim == 2]
         if images:
             self._image = images[0]
         observations = [*images, np.concatenate(vectors)] if vectors else images

@@ -14,6 +14,7 @@ from rich.console import Console
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
+from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
 from trainer.players.behavior import only_behavior
@@ -21,7 +22,7 @@ from trainer.players.environment import Environment
 from trainer.players.failures import log_hint, log_path, player_errors, sentence
 from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
 from trainer.players.location import BUILTIN, LOOPBACK, can_be_launched, is_loopback, launch_path, place
-from trainer.players.settings import channels
+from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
@@ -40,6 +41,7 @@ def open_environment(
     number: int = 0,
     env_args: Sequence[str] = (),
     listen: str = LOOPBACK,
+    graphics: bool = False,
 ) -> Environment:
     """Starts or awaits a player and shakes hands.
 
@@ -55,6 +57,7 @@ def open_environment(
         env_args: Arguments of a launched player's own.
         listen: Where to listen, unless ``env`` says so. The protocol has no authentication: a warning is printed for
             anything but loopback.
+        graphics: Whether a launched build shall open a window and render, as cameras in a scene need.
 
     Raises:
         TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
@@ -69,6 +72,7 @@ def open_environment(
         "timeout_wait": timeout_wait,
         "side_channels": side_channels,
         "additional_args": list(env_args),
+        "graphics": graphics,
     }
     if env == BUILTIN:
         options["additional_args"] += ["--parent", str(os.getpid())]
@@ -154,7 +158,7 @@ def open_players(
 def _open(
     config: RunConfig, logs: Path, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
 ) -> OpenPlayer:
-    statistics = StatsSideChannel()
+    statistics, (engine, parameters) = StatsSideChannel(), channels(config, seed)
     environment = open_environment(
         config.env,
         seed=seed,
@@ -162,13 +166,18 @@ def _open(
         port=connection.base_port,
         timeout_wait=connection.timeout_wait,
         log_folder=logs,
-        side_channels=[statistics, *channels(config, seed), state],
+        side_channels=[statistics, engine, parameters, state],
         number=number,
         env_args=config.env_args,
         listen=connection.listen,
+        graphics=config.graphics,
     )
     try:
         with player_errors(log_path(logs, number)):
+            if config.env != BUILTIN and is_corridor(only_behavior(environment)[0]):
+                tell_corridor(config, parameters)
+                if not config.through_gym:  # UnityToGymWrapper begins with a reset
+                    environment.reset()
             slots = (
                 _one_area(config, environment, statistics)
                 if config.through_gym

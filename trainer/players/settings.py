@@ -1,6 +1,7 @@
 """What a run tells its players over side channels: Unity's engine settings, and environment parameters."""
 
 from dataclasses import asdict
+from typing import Any
 
 from mlagents_envs.side_channel.engine_configuration_channel import EngineConfigurationChannel
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
@@ -9,12 +10,16 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from trainer.config import RunConfig
 from trainer.corridor import PENALTY
+from trainer.players.location import BUILTIN
 from trainer.seeds import sampler_seed
 from trainer.settings_file import parse_parameter
 
 
 def channels(config: RunConfig, seed: int) -> list[SideChannel]:
-    """Side channels that carry a run's settings to one player with its first reset.
+    """Engine settings and environment parameters: what carries a run's settings to one player with its first reset.
+
+    What the run has for a corridor alone, the penalty and the preset's parameters, goes to our own player only: of no
+    other is known that early which behavior it has (see ``tell_corridor``).
 
     Args:
         config: The run.
@@ -22,15 +27,34 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     """
     engine, parameters = EngineConfigurationChannel(), EnvironmentParametersChannel()
     engine.set_configuration_parameters(**asdict(config.engine))
-    parameters.set_float_parameter(PENALTY, config.penalty)
+    ours = config.env == BUILTIN
+    if ours:
+        parameters.set_float_parameter(PENALTY, config.penalty)
     for index, (name, value) in enumerate(config.environment_parameters.items()):
-        match parse_parameter(name, value, sampler_seed(seed, index)):
-            case Uniform(own_seed, low, high):
-                parameters.set_uniform_sampler_parameters(name, low, high, own_seed)
-            case Gaussian(own_seed, mean, deviation):
-                parameters.set_gaussian_sampler_parameters(name, mean, deviation, own_seed)
-            case MultiRangeUniform(own_seed, ranges):
-                parameters.set_multirangeuniform_sampler_parameters(name, list(ranges), own_seed)
-            case number:
-                parameters.set_float_parameter(name, number)
+        if ours or name not in config.preset_parameters:
+            _set(parameters, name, value, sampler_seed(seed, index))
     return [engine, parameters]
+
+
+def tell_corridor(config: RunConfig, parameters: EnvironmentParametersChannel) -> None:
+    """Has the next message carry what ``channels`` kept back from a player that turned out to be a corridor.
+
+    Args:
+        config: The run.
+        parameters: The channel to that player.
+    """
+    parameters.set_float_parameter(PENALTY, config.penalty)
+    for name in config.preset_parameters:
+        parameters.set_float_parameter(name, config.environment_parameters[name])
+
+
+def _set(parameters: EnvironmentParametersChannel, name: str, value: Any, seed: int) -> None:
+    match parse_parameter(name, value, seed):
+        case Uniform(own_seed, low, high):
+            parameters.set_uniform_sampler_parameters(name, low, high, own_seed)
+        case Gaussian(own_seed, mean, deviation):
+            parameters.set_gaussian_sampler_parameters(name, mean, deviation, own_seed)
+        case MultiRangeUniform(own_seed, ranges):
+            parameters.set_multirangeuniform_sampler_parameters(name, list(ranges), own_seed)
+        case number:
+            parameters.set_float_parameter(name, number)

@@ -56,6 +56,7 @@ class Players(Slots):
     Attributes:
         behavior: The name of the players' behavior.
         behavior_spec: What its agents observe and do.
+        areas: How many agents each player has: one per training area, if its areas have one each.
         observations: What every slot showed last, (slots, observation size).
 
     Raises:
@@ -78,14 +79,14 @@ class Players(Slots):
         self._former_exchange_seconds = 0.0  # of players that died
         self._players = _open_all(start, lives)
         first = self._players[0]
-        self.behavior, self.behavior_spec, self._areas = first.behavior, first.spec, first.slots.num_envs
+        self.behavior, self.behavior_spec, self.areas = first.behavior, first.spec, first.slots.num_envs
         try:
             for number, player in enumerate(self._players):
                 self._check_alike(number, player)
         except TrainerError:
             self.close()
             raise
-        super().__init__(len(lives) * self._areas, first.slots.observation_space, first.slots.action_space)
+        super().__init__(len(lives) * self.areas, first.slots.observation_space, first.slots.action_space)
 
     @property
     def restarts(self) -> int:
@@ -154,7 +155,7 @@ class Players(Slots):
                 player.environment.close()
 
     def _slots(self, number: int) -> slice:
-        return slice(number * self._areas, (number + 1) * self._areas)
+        return slice(number * self.areas, (number + 1) * self.areas)
 
     def _reset(self, number: int) -> NDArray[Any]:
         while True:
@@ -171,7 +172,7 @@ class Players(Slots):
         except FAILURES as error:
             self._restart(number, error)
         except BadNumbers as error:
-            where = error.in_area(0) if self._areas == 1 else error
+            where = error.in_area(0) if self.areas == 1 else error
             raise TrainerError(explain(where, log_path(self._logs, number))) from where
         last, next_observations = self.observations[self._slots(number)], self._reset(number)
         cut = [{"terminal_observation": each, "TimeLimit.truncated": True, "dropped": True} for each in last]
@@ -201,10 +202,10 @@ class Players(Slots):
     def _check_alike(self, number: int, player: OpenPlayer) -> None:
         same = player.behavior == self.behavior and player.spec.action_spec == self.behavior_spec.action_spec
         shapes = [[tuple(each.shape) for each in spec.observation_specs] for spec in (player.spec, self.behavior_spec)]
-        if not same or shapes[0] != shapes[1] or player.slots.num_envs != self._areas:
+        if not same or shapes[0] != shapes[1] or player.slots.num_envs != self.areas:
             raise TrainerError(
                 f"Player {number} has {player.slots.num_envs} areas of {player.behavior} with observations of shapes "
-                f"{shapes[0]}, but the first had {self._areas} of {self.behavior} with {shapes[1]}; all players have "
+                f"{shapes[0]}, but the first had {self.areas} of {self.behavior} with {shapes[1]}; all players have "
                 "to be the same build."
             )
 

@@ -20,7 +20,10 @@ from trainer.players.slots import Slots
 
 
 class UnityVecEnv(Slots):
-    """Every agent of the one behavior is a slot; a slot's next episode is whichever agent takes the ended one's place.
+    """Every agent of the one behavior is a slot.
+
+    A slot's next episode is its own agent's, where agents keep their ids as Unity's do; where a player gives every
+    episode another id, it is whichever new agent takes the ended one's place.
 
     Works for a behavior whose agents ask for decisions in step, with vector observations (several are put one after
     another) and either continuous or discrete actions. ``done`` follows SB3: an ended slot shows its next episode's
@@ -42,9 +45,10 @@ class UnityVecEnv(Slots):
         self.behavior, spec = only_behavior(environment)
         self._continuous = spec.action_spec.is_continuous()
         self._fresh = True  # only_behavior's reset began an episode that the first reset() gives out
-        decision, _ = environment.get_steps(self.behavior)
+        decision = self._first_decisions()
         super().__init__(len(decision), observation_space(spec), action_space(spec))
         self._slots: dict[int, int] = {}
+        self._dropped = 0  # agents that ended before their first decision, since statistics were last attributed
         self._in_order: NDArray[np.intp] = np.arange(self.num_envs)
         self._agent_ids: NDArray[np.int32] = decision.agent_id
         self._observations = np.zeros((self.num_envs, *(self.observation_space.shape or ())), dtype=np.float32)
@@ -54,7 +58,7 @@ class UnityVecEnv(Slots):
         if not self._fresh:
             self.environment.reset()
         self._fresh = False
-        decision, _ = self.environment.get_steps(self.behavior)
+        decision = self._first_decisions()
         if len(decision) != self.num_envs:
             raise TrainerError(
                 f"{len(decision)} agents asked for a decision after a reset, but {self.num_envs} did before."
@@ -88,22 +92,30 @@ class UnityVecEnv(Slots):
         rewards = np.zeros(self.num_envs, dtype=np.float32)
         dones = np.zeros(self.num_envs, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        ended_slots: list[int] = []
+        ended: dict[int, int] = {}  # slots by the agents whose episodes ended
         receive = self._step.receive
         while True:
             try:
                 receive()
             except BadNumbers as error:
-                area = None if error.agent is None else self._slots.get(error.agent)
+                area = None if error.agent is None else (self._slots | ended).get(error.agent)
                 raise error if area is None else error.in_area(area) from error
             receive = self.environment.step  # while no agent asks for a decision, there is nothing to send
             decision, terminal = self.environment.get_steps(self.behavior)
-            ended_slots += self._end_episodes(terminal, rewards, dones, infos)
+            ended |= self._end_episodes(terminal, rewards, dones, infos)
             if len(decision):
                 break
-        self._take_decisions(decision, rewards, dones, [slot for slot in ended_slots if dones[slot]])
-        self._attribute_statistics(ended_slots, infos)
+        self._take_decisions(decision, rewards, dones, ended)
+        self._attribute_statistics(list(ended.values()), infos)
         return self._observations.copy(), rewards, dones, infos
+
+    def _first_decisions(self) -> DecisionSteps:
+        """After a reset, what the agents show that ask first: Unity may have messages before, without any that asks."""
+        decision, _ = self.environment.get_steps(self.behavior)
+        while not len(decision):
+            self.environment.step()
+            decision, _ = self.environment.get_steps(self.behavior)
+        return decision
 
     def _end_episodes(
         self,
@@ -111,37 +123,41 @@ class UnityVecEnv(Slots):
         rewards: NDArray[np.float32],
         dones: NDArray[np.bool_],
         infos: list[dict[str, Any]],
-    ) -> list[int]:
+    ) -> dict[int, int]:
         if not len(terminal):
-            return []
+            return {}
         last_observations = _vector(terminal)
-        slots = []
+        slots = {}
         for row, agent in enumerate(terminal.agent_id.tolist()):
             slot = self._slots.pop(agent, None)
-            if slot is None:
-                raise TrainerError(f"Agent {agent} ended, but no running episode has that id; ids must be unique.")
+            if slot is None:  # it ended before its first decision, of which ML-Agents makes no episode either
+                self._dropped += 1
+                continue
             rewards[slot] = terminal.reward[row]
             dones[slot] = True
             infos[slot]["terminal_observation"] = last_observations[row]
             infos[slot]["TimeLimit.truncated"] = bool(terminal.interrupted[row])
-            slots.append(slot)
+            slots[agent] = slot
         return slots
 
     def _take_decisions(
-        self, decision: DecisionSteps, rewards: NDArray[np.float32], dones: NDArray[np.bool_], freed: list[int]
+        self, decision: DecisionSteps, rewards: NDArray[np.float32], dones: NDArray[np.bool_], ended: dict[int, int]
     ) -> None:
-        if not freed and np.array_equal(decision.agent_id, self._agent_ids):
+        if not ended and np.array_equal(decision.agent_id, self._agent_ids):
             rewards[self._in_order] = decision.reward
             self._observations[self._in_order] = _vector(decision)
             return
         agents = decision.agent_id.tolist()
         new = [agent for agent in agents if agent not in self._slots]
-        if len(new) != len(freed) or len(set(agents)) != self.num_envs:
+        if len(new) != len(ended) or len(set(agents)) != self.num_envs:
             raise TrainerError(
                 f"{len(set(agents))} of {self.num_envs} agents asked for a decision, {len(new)} of them new while "
-                f"{len(freed)} ended; the vector path needs a fixed number of agents that decide in step."
+                f"{len(ended)} ended; the vector path needs a fixed number of agents that decide in step."
             )
-        self._slots.update(zip(new, sorted(freed), strict=True))
+        kept = {agent: ended[agent] for agent in new if agent in ended}
+        successors = [agent for agent in new if agent not in ended]
+        self._slots |= kept
+        self._slots.update(zip(successors, sorted(set(ended.values()) - set(kept.values())), strict=True))
         self._agent_ids = decision.agent_id
         self._in_order = np.array([self._slots[agent] for agent in agents], dtype=np.intp)
         self._observations[self._in_order] = _vector(decision)
@@ -149,7 +165,9 @@ class UnityVecEnv(Slots):
         rewards[self._in_order[running]] = decision.reward[running]
 
     def _attribute_statistics(self, ended_slots: list[int], infos: list[dict[str, Any]]) -> None:
-        received = self._take_statistics()
+        received, dropped, self._dropped = self._take_statistics(), self._dropped, 0
+        if dropped:
+            return  # which of the values were a dropped agent's can't be told
         # A name without exactly one value per episode can't be attributed.
         whole = {name: values for name, values in received.items() if len(values) == len(ended_slots)}
         for row, slot in enumerate(ended_slots):

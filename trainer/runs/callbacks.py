@@ -24,6 +24,7 @@ from trainer.signals import StopSignals
 
 ROW_STEPS = 10_000  # agent steps between two rows of progress.csv
 CHECKPOINT_STEPS = 500_000
+UNKNOWN = -1.0  # in the place of an episode's success, where the player doesn't say
 CURIOSITY_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",
     "inverse_loss": "Losses/Curiosity Inverse Loss",
@@ -62,6 +63,8 @@ class CountSteps(BaseCallback):
 class CountEpisodes(BaseCallback):
     """Counts ended episodes, and keeps the numbers of the last ones, also over a resume.
 
+    Success is taken out of the infos: Stable-Baselines3 has the rate over those episodes alone that report it.
+
     Args:
         counters: Of the whole run.
     """
@@ -73,8 +76,14 @@ class CountEpisodes(BaseCallback):
         self._recent: dict[str, deque[float]] = {name: deque(maxlen=WINDOW) for name in names}
 
     def means(self) -> dict[str, float]:
-        """Means over the last episodes, by name; nothing for what no episode has had yet."""
-        return {name: float(np.mean(values)) for name, values in self._recent.items() if values}
+        """Means over the last episodes, by name; nothing for what no episode has had yet, or not all of them have."""
+        known = {name: values for name, values in self._recent.items() if values and UNKNOWN not in values}
+        return {name: float(np.mean(values)) for name, values in known.items()}
+
+    def unknown(self) -> tuple[int, int]:
+        """Of how many of the last episodes the player has not said whether they succeeded, and how many those are."""
+        success = self._recent["success"]
+        return success.count(UNKNOWN), len(success)
 
     def state_dict(self) -> dict[str, Any]:
         """The numbers of the last episodes, oldest first."""
@@ -102,9 +111,8 @@ class CountEpisodes(BaseCallback):
         self._recent["length"].append(info["episode"]["l"])
         if "curiosity_return" in info:
             self._recent["curiosity_return"].append(info["curiosity_return"])
-        if "is_success" in info:
-            success.append(float(info["is_success"]))
-        if len(success) == WINDOW:
+        success.append(float(info.pop("is_success", UNKNOWN)))
+        if len(success) == WINDOW and UNKNOWN not in success:
             rate = float(np.mean(success))
             if rate >= 0.5 and counters.steps_to_50_success is None:
                 counters.steps_to_50_success = self.num_timesteps
@@ -137,6 +145,7 @@ class LogRows(BaseCallback):
     def _on_rollout_end(self) -> None:
         means = self._episodes.means()
         tags = {
+            "rollout/success_rate": means.get("success"),
             "Environment/Cumulative Reward": means.get("return"),
             "Environment/Episode Length": means.get("length"),
             "Policy/Extrinsic Reward": means.get("return"),
@@ -179,7 +188,14 @@ class ShowProgress(BaseCallback):
         means = self._episodes.means()
         intrinsic = None if self._curiosity is None else self._curiosity.metrics.get("reward")
         self._display.update(
-            Snapshot(self.num_timesteps, means.get("return"), means.get("success"), means.get("length"), intrinsic)
+            Snapshot(
+                self.num_timesteps,
+                means.get("return"),
+                means.get("success"),
+                means.get("length"),
+                intrinsic,
+                *self._episodes.unknown(),
+            )
         )
 
 

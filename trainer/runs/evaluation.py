@@ -11,6 +11,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from trainer.corridor import OPPONENT_CONTACTS, SUCCESS, WALL_CONTACTS
 
+# The statistics that rates are made from.
+_REPORTED = {"success_rate": SUCCESS, "opponent_contact_rate": OPPONENT_CONTACTS, "wall_contact_rate": WALL_CONTACTS}
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -92,24 +95,30 @@ def evaluate(
 
 
 def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """The ``evaluation`` part of ``summary.json``; None for what the player does not report."""
+    """The ``evaluation`` part of ``summary.json``; None for a rate that an episode has not been reported for."""
     return {
         "episodes": len(episodes),
-        "success_rate": _share(episodes, SUCCESS),
+        "success_rate": _share(episodes, "success_rate"),
         "mean_return": float(np.mean([episode.rewards.sum(dtype=np.float64) for episode in episodes])),
         "mean_episode_length": float(np.mean([len(episode.rewards) for episode in episodes])),
-        "opponent_contact_rate": _share(episodes, OPPONENT_CONTACTS),
-        "wall_contact_rate": _share(episodes, WALL_CONTACTS),
+        "opponent_contact_rate": _share(episodes, "opponent_contact_rate"),
+        "wall_contact_rate": _share(episodes, "wall_contact_rate"),
         "mean_success_length": _mean_length([episode for episode in episodes if episode.succeeded]),
+        "success_unknown": unreported(episodes, "success_rate"),
     }
+
+
+def unreported(episodes: Sequence[Episode], measure: str) -> int:
+    """For how many episodes the player has not reported what a rate is made from; 0 for any other measure."""
+    return sum(_REPORTED[measure] not in episode.statistics for episode in episodes) if measure in _REPORTED else 0
 
 
 def _mean_length(episodes: Sequence[Episode]) -> float | None:
     return float(np.mean([len(episode.rewards) for episode in episodes])) if episodes else None
 
 
-def _share(episodes: Sequence[Episode], name: str) -> float | None:
-    """Share of episodes in which a statistic is above 0."""
-    if not all(name in episode.statistics for episode in episodes):
+def _share(episodes: Sequence[Episode], rate: str) -> float | None:
+    """Share of all episodes in which a rate's statistic is above 0; None if one of them has none."""
+    if unreported(episodes, rate):
         return None
-    return float(np.mean([episode.statistics[name] > 0 for episode in episodes]))
+    return float(np.mean([episode.statistics[_REPORTED[rate]] > 0 for episode in episodes]))

@@ -28,8 +28,10 @@ PACKAGES = (
     "protobuf",
 )
 
+# What follows from other settings; runs of before have not recorded it.
+DERIVED = ("preset_parameters",)
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
-MAY_CHANGE = ("steps", "env", "env_args", "engine")
+MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine")
 
 
 class RunFolder:
@@ -108,19 +110,29 @@ class RunFolder:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
         return record
 
-    def record_behavior(self, behavior: dict[str, Any]) -> None:
-        """Adds to ``configuration.yaml`` what the player's behavior observes and does."""
+    def record_players(self, behavior: dict[str, Any], agents: int) -> None:
+        """Adds to ``configuration.yaml`` what the players' behavior observes and does, and how many agents each has."""
         record = yaml.safe_load(self.configuration.read_text(encoding="utf-8"))
-        write_whole(self.configuration, yaml.safe_dump({**record, "behavior": behavior}, sort_keys=False))
+        found = {"behavior": behavior, "agents_per_player": agents}
+        write_whole(self.configuration, yaml.safe_dump({**record, **found}, sort_keys=False))
 
     def read_behavior(self) -> dict[str, Any]:
-        """What ``record_behavior`` added; empty if it was not called.
+        """The behavior that ``record_players`` added; empty if it was not called.
 
         Raises:
             TrainerError: ``configuration.yaml`` is missing or broken.
         """
         behavior = self._read_record().get("behavior")
         return behavior if isinstance(behavior, dict) else {}
+
+    def read_agents(self) -> int | None:
+        """How many agents each player had; None in a run of before they were recorded.
+
+        Raises:
+            TrainerError: ``configuration.yaml`` is missing or broken.
+        """
+        agents = self._read_record().get("agents_per_player")
+        return agents if isinstance(agents, int) else None
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Writes ``summary.json`` whole or not at all."""
@@ -137,7 +149,8 @@ class RunFolder:
                 f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out."
             )
         before, now = _flat(self.read_config().as_dict()), _flat(config.as_dict())
-        differing = [name for name in sorted(before.keys() | now.keys()) if before.get(name) != now.get(name)]
+        names = sorted((before.keys() | now.keys()) - set(DERIVED))
+        differing = [name for name in names if before.get(name) != now.get(name)]
         refused = [name for name in differing if name.partition(".")[0] not in MAY_CHANGE]
         if refused:
             listed = ", ".join(

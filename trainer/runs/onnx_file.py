@@ -54,7 +54,8 @@ def export_run(config: RunConfig, folder: RunFolder, path: Path) -> None:
             written.
     """
     spec = _spec(folder)
-    stages = build_stages(config, _Nobody(config.num_envs * config.num_areas, spec))
+    agents = folder.read_agents() or config.num_areas
+    stages = build_stages(config, _Nobody(config.num_envs * agents, spec))
     load_trained(config, folder, stages)
     program = policy_as_onnx(stages, spec)
     try:

@@ -12,18 +12,25 @@ LINES = 15  # printed over a whole run where there is no terminal
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A run at one moment; means are over the last episodes, None before there are any."""
+    """A run at one moment; means are over the last episodes, None before there are any.
+
+    The success rate is None, too, if the player has not reported success for ``unknown`` of the last ``episodes``.
+    """
 
     steps: int
     mean_return: float | None
     success_rate: float | None
     mean_length: float | None
     intrinsic_reward: float | None
+    unknown: int = 0
+    episodes: int = 0
 
     def text(self) -> str:
         """Return, success rate, episode length and intrinsic reward."""
+        some = 0 < self.unknown < self.episodes
+        success = f"unknown for {self.unknown} of {self.episodes}" if some else _number(self.success_rate, ".0%")
         return (
-            f"return {_number(self.mean_return, '+.2f')}  success {_number(self.success_rate, '.0%')}  "
+            f"return {_number(self.mean_return, '+.2f')}  success {success}  "
             f"length {_number(self.mean_length, '.0f')}  curiosity {_number(self.intrinsic_reward, '.5f')}"
         )
 

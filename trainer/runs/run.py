@@ -20,7 +20,7 @@ from trainer.players.opening import open_players
 from trainer.players.several import Players
 from trainer.runs.checkpoint import checkpoints, read_checkpoint
 from trainer.runs.counters import Counters
-from trainer.runs.evaluation import Episode, evaluate, summarise
+from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
 from trainer.runs.run_state import Resumed, resumed_from
@@ -108,7 +108,9 @@ def _learn(
         lives=so_far.lives,
         states=so_far.states,
     ) as players:
-        folder.record_behavior(behavior_record(players.behavior, players.behavior_spec))
+        folder.record_players(behavior_record(players.behavior, players.behavior_spec), players.areas)
+        if players.areas != config.num_areas:
+            _say_who_came(config.num_areas, players.areas)
         stages = build_stages(config, players)
         if config.from_sb3 is not None and checkpoint is None:
             load_sb3_policy(Path(config.from_sb3), stages.model)
@@ -222,6 +224,13 @@ def _written_to(folder: RunFolder) -> Iterator[None]:
         raise TrainerError(f"{folder.path} can't be written ({error.strerror or error}); {known}") from error
 
 
+def _say_who_came(asked: int, came: int) -> None:
+    """One line for players that have another number of agents than areas were asked for."""
+    hint = "; a scene makes copies of its area with a TrainingAreaReplicator (docs/unity.md)" if came < asked else ""
+    text = f"Areas asked for: {asked} per player (--num-areas); agents that came, and are trained with: {came}{hint}."
+    Console().print(text, highlight=False, soft_wrap=True)
+
+
 def _evaluation_players(
     config: RunConfig, folder: RunFolder, connection: ConnectionOptions, limits: RestartLimits
 ) -> AbstractContextManager[Players]:
@@ -234,13 +243,20 @@ def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
     console.print(f"Evaluation of {title}, deterministic policy:", highlight=False, soft_wrap=True)
     table = Table("measure", "value")
     for name, value in summarise(episodes).items():
-        table.add_row(name, "not reported" if value is None else f"{value:g}")
+        if name != "success_unknown":  # which stands in the success rate's place
+            table.add_row(name, _reported(episodes, name) if value is None else f"{value:g}")
     console.print(table)
     if is_corridor(evaluation.behavior):
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
         corridor = corridor_of(config.penalty, config.environment_parameters)
         save_episode_paths(shown, title, folder.episode_paths, corridor)
     console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
+
+
+def _reported(episodes: list[Episode], measure: str) -> str:
+    """What stands in the place of a measure that has no value."""
+    unknown = unreported(episodes, measure)
+    return f"unknown for {unknown} of {len(episodes)}" if 0 < unknown < len(episodes) else "not reported"
 
 
 def _title(config: RunConfig) -> str:

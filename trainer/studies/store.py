@@ -87,12 +87,12 @@ class Store:
             self.fs.rm(path, recursive=True)
         if self._is_local:
             temporary = Path(f"{self.root}/{study}/.{config.run_id}-{uuid.uuid4().hex}")
-            shutil.copytree(folder, temporary)
             try:
+                shutil.copytree(folder, temporary)
                 temporary.rename(path)
-            except OSError:
-                shutil.rmtree(temporary)
-                if not self._is_finished(path, episodes):
+            except BaseException as error:
+                shutil.rmtree(temporary, ignore_errors=True)
+                if not isinstance(error, OSError) or not self._is_finished(path, episodes):
                     raise
             return
         files = sorted(each for each in folder.rglob("*") if each.is_file())

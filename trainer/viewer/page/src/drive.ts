@@ -90,7 +90,7 @@ export class Drive {
     }
   }
 
-  // One request a decision, in the world's own time.
+  // One request per decision, in the world's own time.
   private async run(game: number, track: Track): Promise<void> {
     const period = 1000 * track.corridor.decision_seconds;
     let next = performance.now();

@@ -24,8 +24,8 @@ const PANELS: [string, string, [number, number] | undefined][] = [
   ["mean_return", "extrinsic return", undefined],
   ["success_rate", "success rate", [-0.03, 1.03]],
   ["mean_episode_length", "episode length, decisions", undefined],
-  ["intrinsic_reward", "intrinsic reward a step", undefined],
-  ["steps_per_second", "agent steps a second", undefined],
+  ["intrinsic_reward", "intrinsic reward per step", undefined],
+  ["steps_per_second", "agent steps per second", undefined],
 ];
 
 export class Learning {

@@ -1,5 +1,5 @@
 // What the agent of docs/unity.md uses of Unity and ML-Agents, with their names and signatures, and a scene of one such
-// agent an area: the foreign player's requests come in as lines, an area's answers go out as lines.
+// agent an area: the build's requests come in as lines, an area's answers go out as lines.
 
 using System;
 using System.Collections.Generic;
