@@ -3,7 +3,8 @@
 They are built field by field; the STEP for many agents, which a trainer sends all the time, is ``columnar``'s.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 from corridor_server.protocol.messages import API_VERSION, OK, QUIT, STEP, STOP, UnityMessageProto
@@ -17,8 +18,14 @@ def trainer_message(inputs: Any) -> Any:
     return message
 
 
-def initialization(seed: int = 0, num_areas: int = 1, version: str = API_VERSION, package: str = "0.28.0") -> Any:
-    """The trainer's answer to a player's first message."""
+def initialization(
+    seed: int = 0,
+    num_areas: int = 1,
+    version: str = API_VERSION,
+    package: str = "0.28.0",
+    without: Collection[str] = (),
+) -> Any:
+    """The trainer's answer to a player's first message; it has every capability but those named in ``without``."""
     message = UnityMessageProto()
     message.header.status = OK
     parameters = message.unity_input.rl_initialization_input
@@ -28,7 +35,7 @@ def initialization(seed: int = 0, num_areas: int = 1, version: str = API_VERSION
     parameters.package_version = package
     capabilities = parameters.capabilities
     for name in capabilities.DESCRIPTOR.fields_by_name:
-        setattr(capabilities, name, True)
+        setattr(capabilities, name, name not in without)
     return message
 
 
@@ -41,14 +48,31 @@ def command(number: int, side_channel: bytes = b"") -> Any:
     return message
 
 
-def step(actions: Mapping[str, Sequence[Sequence[float]]], side_channel: bytes = b"", deprecated: bool = False) -> Any:
-    """STEP with continuous actions by behavior, in the new field or in the one that trainers before 1.3 fill."""
+def step(
+    actions: Mapping[str, Sequence[Sequence[float]]],
+    side_channel: bytes = b"",
+    deprecated: bool = False,
+    discrete: Mapping[str, Sequence[Sequence[int]]] | None = None,
+) -> Any:
+    """STEP with a row of actions for each agent that asked, in sent order.
+
+    Args:
+        actions: Behavior -> the continuous actions of each of its agents.
+        side_channel: Bytes for the player's side channels.
+        deprecated: Fill the field that trainers before version 1.3 of the protocol fill.
+        discrete: Behavior -> the choice in each branch of each of its agents; a hybrid behavior stands in both.
+    """
     message = command(STEP, side_channel)
-    for behavior, rows in actions.items():
+    choices = discrete or {}
+    for behavior in dict.fromkeys((*actions, *choices)):
         value = message.unity_input.rl_input.agent_actions[behavior].value
-        for row in rows:
+        for row, chosen in zip_longest(actions.get(behavior, ()), choices.get(behavior, ()), fillvalue=()):
             action = value.add()
-            (action.vector_actions_deprecated if deprecated else action.continuous_actions).extend(row)
+            if deprecated:
+                action.vector_actions_deprecated.extend((*row, *chosen))
+            else:
+                action.continuous_actions.extend(row)
+                action.discrete_actions.extend(chosen)
     return message
 
 

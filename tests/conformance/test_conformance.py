@@ -1,4 +1,4 @@
-"""The kit on our own player: plain, and with a camera both ways."""
+"""The kit on our own player, strict sentences included: with both timings, and with a camera both ways."""
 
 import subprocess
 
@@ -8,14 +8,24 @@ from conftest import BIN
 
 from corridor_server.protocol.trainer_messages import initialization
 from trainer import conformance
-from trainer.conformance.suite import agents, expect_equal
+from trainer.conformance.session import agents
+from trainer.conformance.verdicts import expect_equal
 
 
 class CorridorServer:
     """How our player is started; what it prints goes to the test's own output."""
 
+    strict = True
+
     def start_player(self, port: int, *arguments: str) -> "subprocess.Popen[bytes]":
         return subprocess.Popen([str(BIN / "corridor-server"), "--mlagents-port", str(port), *arguments])
+
+
+class InUnitysTiming(CorridorServer):
+    """Ended agents in a message of their own, and an idle step after every RESET."""
+
+    arguments = ("--decision-timing", "unity")
+    pytestmark = pytest.mark.slow
 
 
 class TestHandshake(CorridorServer, conformance.Handshake): ...
@@ -24,22 +34,49 @@ class TestHandshake(CorridorServer, conformance.Handshake): ...
 class TestEpisodes(CorridorServer, conformance.Episodes): ...
 
 
+class TestEpisodesInUnitysTiming(InUnitysTiming, conformance.Episodes): ...
+
+
+class TestObservations(CorridorServer, conformance.Observations): ...
+
+
+class TestObservationsInUnitysTiming(InUnitysTiming, conformance.Observations): ...
+
+
 class TestActions(CorridorServer, conformance.Actions): ...
+
+
+class TestActionsInUnitysTiming(InUnitysTiming, conformance.Actions): ...
 
 
 class TestReset(CorridorServer, conformance.Reset): ...
 
 
+class TestResetInUnitysTiming(InUnitysTiming, conformance.Reset): ...
+
+
 class TestSideChannels(CorridorServer, conformance.SideChannels): ...
+
+
+class TestSideChannelsInUnitysTiming(InUnitysTiming, conformance.SideChannels): ...
 
 
 class TestShutdown(CorridorServer, conformance.Shutdown): ...
 
 
+class TestShutdownInUnitysTiming(InUnitysTiming, conformance.Shutdown): ...
+
+
 class TestBadPeers(CorridorServer, conformance.BadPeers): ...
 
 
+class TestBadPeersInUnitysTiming(InUnitysTiming, conformance.BadPeers): ...
+
+
 class TestCorridorContract(CorridorServer, conformance.CorridorContract): ...
+
+
+class TestCorridorContractInUnitysTiming(InUnitysTiming, conformance.CorridorContract): ...
 
 
 class TestVisualObservationsAsPng(CorridorServer, conformance.VisualObservations):

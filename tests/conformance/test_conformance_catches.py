@@ -1,4 +1,4 @@
-"""The kit's own test: players with one fault each, and the sentence that must fail.
+"""The kit's own test: players with one fault each, and the sentence that must fail, alone.
 
 Verdicts are ``pytest.fail``'s: all of this holds under ``python -O`` too, which strips ``assert``.
 """
@@ -11,161 +11,118 @@ from pathlib import Path
 
 import pytest
 from conftest import BIN
+from faulty_players import FAULTS, WITHOUT_AGENTS, write_player
 
 from trainer import conformance
 from trainer.conformance.checker import Result, check, sentences
-from trainer.conformance.suite import NotAsExpected, expect, expect_equal
-
-PLAYER = """#!{python}
-import sys
-import numpy as np
-from corridor_server import player
-from corridor_server.corridor import areas, world
-from corridor_server.protocol import wire
-from corridor_server.main import main
-{fault}
-sys.exit(main())
-"""
-
-FAULTS = {
-    "reused ids": (
-        conformance.Episodes,
-        "every_episode_has_an_id_that_was_not_used_before",
-        """
-begin = areas.Areas._begin
-def begin_with_old_ids(self, rows):
-    ids = self._ids.copy()
-    begin(self, rows)
-    if ids.any():
-        self._ids[:] = ids
-areas.Areas._begin = begin_with_old_ids
-""",
-    ),
-    "swapped action order": (
-        conformance.CorridorContract,
-        "each_action_reaches_the_agent_that_asked_in_that_place",
-        "checked = wire._checked\nwire._checked = lambda actions, *rest: checked(actions, *rest)[::-1]",
-    ),
-    "reward not reset": (
-        conformance.CorridorContract,
-        "a_step_far_from_everything_costs_a_thousandth",
-        """
-step = world.step
-def step_adding_up(p, state, action):
-    state, outcome = step(p, state, action)
-    outcome.reward[:] = np.where(outcome.ended, outcome.reward, state.episode_return)
-    return state, outcome
-world.step = step_adding_up
-""",
-    ),
-    "missing terminal message": (
-        conformance.Episodes,
-        "an_agent_keeps_its_id_until_it_has_ended",
-        """
-output = wire.output
-def output_of_the_living(behavior, agents, *rest):
-    return output(behavior, agents.deciding, *rest)
-wire.output = output_of_the_living
-""",
-    ),
-    "terminal reward lost": (
-        conformance.CorridorContract,
-        "a_failed_episode_pays_the_penalty_with_its_last_reward",
-        """
-output = wire.output
-def output_without_last_rewards(behavior, agents, *rest):
-    agents.rewards[agents.done] = 0
-    return output(behavior, agents, *rest)
-wire.output = output_without_last_rewards
-""",
-    ),
-    "brain parameters late": (
-        conformance.Handshake,
-        "every_behavior_is_introduced_in_the_message_that_has_its_first_agents",
-        """
-output, sent = wire.output, []
-def output_introducing_late(behavior, agents, side_channel, introduce, *rest):
-    sent.append(agents)
-    return output(behavior, agents, side_channel, len(sent) == 2, *rest)
-wire.output = output_introducing_late
-""",
-    ),
-    "wrong shape": (
-        conformance.Episodes,
-        "observations_have_as_many_values_as_their_shape_says",
-        """
-output = wire.output
-def output_with_another_shape(behavior, *rest):
-    message = wire.UnityMessageProto.FromString(output(behavior, *rest))
-    for info in message.unity_output.rl_output.agentInfos[behavior.name].value:
-        info.observations[0].shape[0] += 1
-    return message.SerializeToString()
-wire.output = output_with_another_shape
-""",
-    ),
-    "ignoring QUIT": (
-        conformance.Shutdown,
-        "quit_ends_the_player_with_code_0",
-        "wire._ends = lambda message: message.header.status != wire.OK\nwire.STEP = 2  # QUIT, taken for a STEP",
-    ),
-    "ignoring num_areas": (
-        conformance.Handshake,
-        "the_number_of_areas_is_the_trainers",
-        "make = player.Areas\nplayer.Areas = lambda config, seed, numbers, camera: make(config, seed, [0], camera)",
-    ),
-    "stale observation after reset": (
-        conformance.CorridorContract,
-        "a_reset_in_mid_episode_shows_a_new_start",
-        """
-reset = areas.Areas.reset
-def reset_showing_the_past(self):
-    past = world.observation(self.parameters.columns, self.state)
-    agents = reset(self)
-    if past.any():
-        agents.observations[0][:] = past
-    return agents
-areas.Areas.reset = reset_showing_the_past
-""",
-    ),
-}
+from trainer.conformance.suite import needs, strict
+from trainer.conformance.verdicts import NotApplicable, NotAsExpected, expect, expect_equal
 
 
-def failures(topic: type[conformance.Conformance], name: str, player: Path) -> list[Result]:
-    """Runs one sentence of a topic on a player."""
-    if f"test_{name}" not in sentences(topic):
-        pytest.fail(f"{topic.__name__} has no sentence {name}")
-    others = {other: None for other in sentences(topic) if other != f"test_{name}"}
-    only = type(topic.__name__, (topic,), {**others, "__doc__": topic.__doc__})
-    results: list[Result] = []
+def results(topic: type[conformance.Conformance], player: Path, strict: bool = False, spec: str = "") -> list[Result]:
+    """Runs the sentences of a topic, those of one level, on a player."""
+    found: list[Result] = []
 
     def start(port: int, *arguments: str) -> "subprocess.Popen[bytes]":
-        return subprocess.Popen([str(player), "--mlagents-port", str(port), *arguments])
+        scene = ("--spec", spec) if spec else ()
+        return subprocess.Popen([str(player), "--mlagents-port", str(port), *scene, *arguments])
 
-    check([only], start, results.append)
-    if len(results) != 1:
-        pytest.fail(f"{len(results)} sentences were checked")
-    return [result for result in results if result.verdict == "fail"]
-
-
-def write_player(folder: Path, fault: str) -> Path:
-    path = folder / "player"
-    path.write_text(PLAYER.format(python=sys.executable, fault=fault))
-    path.chmod(0o755)
-    return path
+    check([topic], start, found.append, strict)
+    return found
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_player_with_one_fault_fails_its_sentence(fault, tmp_path):
-    topic, name, code = FAULTS[fault]
-    found = failures(topic, name, write_player(tmp_path, code))
-    if not found:
-        pytest.fail(f"{fault}: nothing failed")
-    if not found[0].detail:
-        pytest.fail(f"{fault}: not a word about what was seen")
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_player_with_one_fault_fails_its_sentence_alone(name, tmp_path):
+    fault = FAULTS[name]
+    found = results(fault.topic, write_player(tmp_path, fault.code, fault.spec), fault.strict, fault.spec)
+    failed = {result.sentence: result.detail for result in found if result.verdict == "fail"}
+    if list(failed) != [fault.sentence.replace("_", " ")]:
+        pytest.fail(f"{name}: {failed}")
+    if not all(failed.values()):
+        pytest.fail(f"{name}: not a word about what was seen")
+
+
+def test_a_player_with_a_fault_fails_quickly_enough_for_every_day(tmp_path):
+    """One sentence of one fault, so that the fast tests hold the kit to it too."""
+    fault = FAULTS["wrong shape"]
+    others = {each: None for each in sentences(fault.topic) if each != f"test_{fault.sentence}"}
+    only = type(fault.topic.__name__, (fault.topic,), others)
+    found = results(only, write_player(tmp_path, fault.code))
+    if [result.verdict for result in found] != ["fail"]:
+        pytest.fail(str(found))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "topic",
+    [conformance.Episodes, conformance.Observations, conformance.Actions, conformance.VisualObservations],
+    ids=lambda topic: topic.__name__,
+)
+def test_no_sentence_about_agents_passes_where_no_agent_was_seen(topic, tmp_path):
+    found = results(topic, write_player(tmp_path, WITHOUT_AGENTS))
+    passed = [result.sentence for result in found if result.verdict == "pass"]
+    if passed or not found:
+        pytest.fail(str(passed))
+
+
+def kit_topic(**tests: object) -> type[conformance.Conformance]:
+    """A topic as if it stood in the kit."""
+    body = {"__module__": "trainer.conformance.made_up", "__doc__": "Made up.", **tests}
+    return type("MadeUp", (conformance.Conformance,), body)
+
+
+def test_a_sentence_without_a_judgement_is_not_applicable_and_says_why():
+    def silent(self):
+        for _ in ():
+            expect(True, "", "")
+
+    @needs("picture")
+    def blind(self):
+        pass
+
+    def judged(self):
+        expect(True, "", "")
+
+    found: list[Result] = []
+    check([kit_topic(test_silent=silent, test_blind=blind, test_judged=judged)], subprocess.Popen, found.append)
+    seen = [(result.verdict, result.detail) for result in found]
+    expected = [
+        ("not applicable", "the player sent no message that this is about, so nothing was judged"),
+        ("not applicable", "the player sent no picture, so nothing was judged"),
+        ("pass", ""),
+    ]
+    if seen != expected:
+        pytest.fail(str(seen))
+
+
+def test_a_strict_sentence_is_run_only_where_it_is_asked_for():
+    @strict
+    def never(self):
+        expect(False, "one thing", "another")
+
+    topic = kit_topic(test_never=never)
+    levels = []
+    for level in (False, True):
+        found: list[Result] = []
+        check([topic], subprocess.Popen, found.append, strict=level)
+        levels.append([(result.verdict, result.detail) for result in found])
+    if levels != [[], [("fail", "one thing; another was expected")]]:
+        pytest.fail(str(levels))
+    with pytest.raises(NotApplicable, match="strict"):  # as pytest runs a subclass without ``strict = True``
+        topic().test_never()
+
+
+def test_an_authors_own_test_in_a_subclass_judges_as_it_likes():
+    class Mine(conformance.Episodes):
+        def test_mine(self):
+            return
+
+    Mine().test_mine()
 
 
 def test_a_broken_player_is_caught_under_python_without_asserts():
-    this = f"{__file__}::test_a_player_with_one_fault_fails_its_sentence[wrong shape]"
+    this = f"{__file__}::test_a_player_with_a_fault_fails_quickly_enough_for_every_day"
     command = [sys.executable, "-O", "-m", "pytest", "-q", "-p", "no:cacheprovider", this]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     if run.returncode or "1 passed" not in run.stdout:
@@ -196,7 +153,7 @@ def test_a_failure_says_what_came_and_what_was_expected():
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["wrong shape"])
 def test_corridor_check_prints_a_table_and_fails(fault, tmp_path):
-    player = write_player(tmp_path, FAULTS[fault][2])
+    player = write_player(tmp_path, FAULTS[fault].code)
     command = [BIN / "corridor", "check", "--env", player]
     stripped = {**os.environ, "PYTHONOPTIMIZE": "1", "COLUMNS": "180"}  # without asserts, and each row on one line
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=stripped)

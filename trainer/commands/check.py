@@ -9,15 +9,18 @@ from trainer.options import Options, Seconds
 
 @dataclass(frozen=True)
 class Check(Options):
-    """Hold a player against the ML-Agents protocol, and against the corridor's contract."""
+    """Hold a player against the ML-Agents protocol as Unity keeps it, and against the corridor's contract."""
 
     env: str = "builtin"
     """builtin, a build's path, editor, or HOST:PORT to listen on. One not started here dials in for every sentence."""
     timeout_wait: Seconds = 20.0
     """Seconds to wait for each message of the player."""
+    strict: bool = False
+    """Also say which of corridor-server's own promises hold. Unity's runtime does not keep them; a table of their own
+    reports them, and the exit code stays the protocol's and the contract's."""
 
     def run(self, typed: str) -> int:
-        """Checks; the exit code is 1 if a check failed."""
+        """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""
         from trainer.conformance.checker import check_player
 
-        return 0 if check_player(self.env, self.timeout_wait, Console()) else 1
+        return 0 if check_player(self.env, self.timeout_wait, self.strict, Console()) else 1

@@ -4,7 +4,9 @@ import time
 
 from corridor_server.protocol.trainer_messages import command, initialization, step
 from trainer.conformance.raw_trainer import NothingReceived
-from trainer.conformance.suite import Conformance, NotApplicable, NotAsExpected, Session, deciding
+from trainer.conformance.session import Session
+from trainer.conformance.suite import Conformance, strict
+from trainer.conformance.verdicts import NotApplicable, expect
 
 PATIENCE_SECONDS = 10.0
 
@@ -15,27 +17,21 @@ class BadPeers(Conformance):
     def _ends_or_goes_on(self, session: Session) -> None:
         """After a bad reply: either the player answers, or its process ends."""
         deadline = time.monotonic() + PATIENCE_SECONDS
-        while time.monotonic() < deadline:
-            if session.process is not None and session.process.poll() is not None:
-                return
+        reacted = False
+        while not reacted and time.monotonic() < deadline:
+            reacted = session.process is not None and session.process.poll() is not None
             try:
                 session.trainer.receive_bytes(timeout=0.05)
+                reacted = True
             except NothingReceived:
                 continue
-            return
-        if session.process is None:
+        if not reacted and session.process is None:
             raise NotApplicable("the player sends nothing more, and its process can't be seen")
-        raise NotAsExpected(f"the player neither answers nor ends for {PATIENCE_SECONDS:g} s")
+        expect(reacted, f"silence for {PATIENCE_SECONDS:g} s", "an answer or an end")
 
     def test_bytes_that_are_no_message(self) -> None:
         with self.playing() as session:
             session.trainer.reply_bytes(b"\xff" * 40)
-            self._ends_or_goes_on(session)
-
-    def test_bytes_that_are_no_message_in_the_handshake(self) -> None:
-        with self.connected() as session:
-            session.trainer.receive()
-            session.trainer.reply_bytes(b"\x0a\xff\xff\xff\xff\x0f")
             self._ends_or_goes_on(session)
 
     def test_a_message_that_is_empty(self) -> None:
@@ -51,18 +47,15 @@ class BadPeers(Conformance):
     def test_too_few_and_too_many_actions(self) -> None:
         for surplus in (-1, 1):
             with self.playing(num_areas=2) as session:
-                rows = {
-                    name: [[0.0] * session.action_size(name)] * (len(deciding(session.output, name)) + surplus)
-                    for name in session.specs
-                }
-                session.trainer.reply(step(rows))
+                session.to_decisions()
+                session.trainer.reply(session.wrong_count(surplus))
                 self._ends_or_goes_on(session)
 
     def test_actions_of_the_wrong_size(self) -> None:
         for surplus in (-1, 1):
             with self.playing() as session:
-                rows = {name: [[0.0] * (session.action_size(name) + surplus)] for name in session.specs}
-                session.trainer.reply(step(rows))
+                session.to_decisions()
+                session.trainer.reply(session.wrong_size(surplus))
                 self._ends_or_goes_on(session)
 
     def test_actions_for_a_behavior_that_does_not_exist(self) -> None:
@@ -80,3 +73,10 @@ class BadPeers(Conformance):
             with self.playing() as session:
                 session.trainer.reply(session.message(0.0, buffer))
                 self._ends_or_goes_on(session)
+
+    @strict
+    def test_bytes_that_are_no_message_in_the_handshake(self) -> None:
+        with self.connected() as session:
+            session.trainer.receive()
+            session.trainer.reply_bytes(b"\x0a\xff\xff\xff\xff\x0f")
+            self._ends_or_goes_on(session)

@@ -4,7 +4,9 @@ import struct
 import uuid
 
 from corridor_server.protocol import side_channels as channels
-from trainer.conformance.suite import Conformance, agents, expect, expect_equal, until_an_episode_ends
+from trainer.conformance.session import agents
+from trainer.conformance.suite import Conformance, needs
+from trainer.conformance.verdicts import NotAsExpected, expect, expect_equal
 
 
 def environment_parameter(name: str, value: float) -> bytes:
@@ -44,10 +46,18 @@ class SideChannels(Conformance):
         unknown = channels.message(uuid.UUID("12345678-1234-5678-1234-567812345678"), b"\x00\x01\x02")
         self._is_accepted(unknown + environment_parameter("a_parameter_that_no_player_has", 1.0))
 
+    @needs("side-channel bytes")
     def test_the_players_own_messages_are_whole(self) -> None:
         with self.playing(num_areas=4) as session:
-            until_an_episode_ends(session)
-            for channel, payload in channels.split(session.output.rl_output.side_channel):
-                if channel == channels.STATISTICS:
-                    key_length = struct.unpack_from("<i", payload)[0]
-                    expect_equal(len(payload), 4 + key_length + 8, "a statistic's size in bytes is")
+            for output in session.play(1000):
+                if not output.rl_output.side_channel:
+                    continue
+                try:
+                    messages = list(channels.split(output.rl_output.side_channel))
+                except channels.SideChannelError as error:
+                    raise NotAsExpected(str(error)) from error
+                for channel, payload in messages:
+                    if channel == channels.STATISTICS:
+                        key_length = int.from_bytes(payload[:4], "little", signed=True)
+                        expect_equal(len(payload), 4 + key_length + 8, "a statistic's size in bytes is")
+                expect(messages, "bytes without a message", "at least one")

@@ -10,13 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from trainer.conformance import PROTOCOL, CorridorContract
-from trainer.conformance.suite import Conformance, NotApplicable
+from trainer.conformance import TOPICS, CorridorContract
+from trainer.conformance.suite import Conformance, is_strict
+from trainer.conformance.verdicts import NotApplicable
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
 from trainer.players.location import launch_path, place
 
 MARKS = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "not applicable": "[dim]n/a[/]"}
+NOT_COUNTED = " (more than Unity's runtime keeps, so no part of the exit code)"
 Verdict = Literal["pass", "fail", "not applicable"]
 Start = Callable[..., "subprocess.Popen[bytes] | None"]
 
@@ -38,20 +40,27 @@ class Result:
     detail: str = ""
 
 
-def sentences(topic: type[Conformance]) -> list[str]:
-    """The names of a topic's tests, in the order in which they stand."""
+def sentences(topic: type[Conformance], strict: bool = False) -> list[str]:
+    """The names of a topic's tests on one level, in the order in which they stand: the strict ones or the others."""
     tests = inspect.getmembers(topic, inspect.isfunction)
-    tests = [test for test in tests if test[0].startswith("test_")]
-    return [name for name, _ in sorted(tests, key=lambda test: test[1].__code__.co_firstlineno)]
+    tests = [test for test in tests if test[0].startswith("test_") and is_strict(test[1]) == strict]
+    return [name for name, _ in sorted(tests, key=lambda test: inspect.unwrap(test[1]).__code__.co_firstlineno)]
 
 
-def check(topics: Iterable[type[Conformance]], start: Start, report: Callable[[Result], None], **hooks: object) -> bool:
-    """Runs every test of the topics on a player.
+def check(
+    topics: Iterable[type[Conformance]],
+    start: Start,
+    report: Callable[[Result], None],
+    strict: bool = False,
+    **hooks: object,
+) -> bool:
+    """Runs every test of the topics, on one level, on a player.
 
     Args:
         topics: Abstract classes of the kit.
         start: Starts the player, as ``Conformance.start_player``.
         report: Called with each result as it comes.
+        strict: Run the strict sentences instead of the protocol's.
         **hooks: Other attributes of the topics, such as ``port``.
 
     Returns:
@@ -59,9 +68,10 @@ def check(topics: Iterable[type[Conformance]], start: Start, report: Callable[[R
     """
     passed = True
     for topic in topics:
-        suite = type(topic.__name__, (topic,), {"start_player": staticmethod(start), **hooks})()
+        own = {"start_player": staticmethod(start), "strict": strict, **hooks}
+        suite = type(topic.__name__, (topic,), own)()
         title = (topic.__doc__ or topic.__name__).splitlines()[0]
-        for name in sentences(topic):
+        for name in sentences(topic, strict):
             sentence = name.removeprefix("test_").replace("_", " ")
             try:
                 getattr(suite, name)()
@@ -79,16 +89,17 @@ def check(topics: Iterable[type[Conformance]], start: Start, report: Callable[[R
     return passed
 
 
-def check_player(env: str, timeout: float, console: Console) -> bool:
-    """Runs the whole kit on a player and prints a table: the protocol, then, for a Corridor, its contract.
+def check_player(env: str, timeout: float, strict: bool, console: Console) -> bool:
+    """Runs the kit on a player and prints a table for each part: the protocol, for a Corridor its contract, strict.
 
     Args:
         env: As ``corridor train --env`` takes it.
         timeout: Seconds to wait for each message.
+        strict: Run the strict sentences too.
         console: Where to print.
 
     Returns:
-        Whether nothing failed.
+        Whether nothing failed of the protocol and the contract; the strict sentences are reported only.
 
     Raises:
         TrainerError: There is no such player, or it can't be started.
@@ -105,18 +116,38 @@ def check_player(env: str, timeout: float, console: Console) -> bool:
         return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
     hooks = {"timeout": timeout, "port": port, "host": host}
-    results: list[Result] = []
+    parts: dict[str, list[Result]] = {}
     with console.status("Checking") as status:
 
-        def report(result: Result) -> None:
-            results.append(result)
-            status.update(f"{result.topic} {len(results)} sentences checked")
+        def run(part: str, topics: Iterable[type[Conformance]], strict: bool = False) -> bool:
+            results = parts.setdefault(part, [])
+
+            def report(result: Result) -> None:
+                results.append(result)
+                status.update(f"{part}: {result.topic} {len(results)} sentences checked")
+
+            return check(topics, start, report, strict, **hooks)
 
         behaviors = _behaviors(start, hooks)
-        passed = check(PROTOCOL, start, report, **hooks)
-        if any(is_corridor(name) for name in behaviors):
-            passed &= check([CorridorContract], start, report, **hooks)
-    table = Table("", "sentence", "seen", title=f"{env}: {', '.join(behaviors)}", title_justify="left")
+        passed = run("protocol", TOPICS)
+        is_a_corridor = any(is_corridor(name) for name in behaviors)
+        if is_a_corridor:
+            passed &= run("contract", [CorridorContract])
+        if strict:
+            run("strict", TOPICS, strict=True)
+    for part, results in parts.items():
+        _print(console, f"{part}: {env}: {', '.join(behaviors)}", results)
+    for part, results in parts.items():
+        counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in MARKS}
+        said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+        console.print(f"{part}: {said}{NOT_COUNTED if part == 'strict' else ''}", highlight=False)
+    if not is_a_corridor:
+        console.print("No behavior is called Corridor, so the corridor's contract was not checked.", highlight=False)
+    return passed
+
+
+def _print(console: Console, title: str, results: Iterable[Result]) -> None:
+    table = Table("", "sentence", "seen", title=title, title_justify="left")
     topic = ""
     for result in results:
         if result.topic != topic:
@@ -124,17 +155,14 @@ def check_player(env: str, timeout: float, console: Console) -> bool:
             table.add_row("", f"[bold]{topic}[/]", "")
         table.add_row(MARKS[result.verdict], result.sentence, escape(result.detail))
     console.print(table)
-    counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in MARKS}
-    console.print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()), highlight=False)
-    if not any(is_corridor(name) for name in behaviors):
-        console.print("No behavior is called Corridor, so the corridor's contract was not checked.", highlight=False)
-    return passed
 
 
 def _behaviors(start: Start, hooks: dict[str, object]) -> list[str]:
     probe = type("Probe", (Conformance,), {"start_player": staticmethod(start), **hooks})()
     try:
         with probe.playing() as session:
+            for _ in session.play(20):
+                pass
             return list(session.specs)
     except AssertionError as error:
         raise TrainerError(f"The player does not play: {error} after it was started.") from error
