@@ -64,8 +64,9 @@ def test_mlagents_envs_reads_the_batch_that_was_written(batch):
 
 @pytest.mark.parametrize("hybrid_actions", [True, False])
 def test_only_a_trainer_without_hybrid_actions_gets_the_deprecated_fields(hybrid_actions):
-    done = np.zeros(1, np.bool_)
-    batch = Agents(np.zeros(1, np.int32), np.zeros(1, np.float32), done, done, (np.zeros((1, 13), np.float32),))
+    none = np.zeros(1, np.bool_)
+    seen = (np.zeros((1, 13), np.float32),)
+    batch = Agents.ungrouped(np.zeros(1, np.int32), np.zeros(1, np.float32), none, none, seen)
     message = UnityMessageProto.FromString(wire.output(BEHAVIOR, batch, b"", True, None, hybrid_actions))
     [brain] = message.unity_output.rl_initialization_output.brain_parameters
     assert brain.action_spec.num_continuous_actions == 2
