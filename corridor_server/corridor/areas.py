@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.corridor import world
+from corridor_server.corridor.arrays import Bools, Floats
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
@@ -16,7 +17,7 @@ from corridor_server.protocol.samplers import Value
 
 NAME = "Corridor"
 BEHAVIOR = f"{NAME}?team=0"
-Statistics = dict[str, world.Floats]
+Statistics = dict[str, Floats]
 
 
 class Areas:
@@ -123,7 +124,7 @@ class Areas:
         done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
         return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, (observations,), images)
 
-    def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: world.Bools) -> Agents:
+    def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: Bools) -> Agents:
         """Puts the agents of ``rows``, as their episodes ended, before all agents, where their next ones begin."""
         front, begun = slice(0, len(rows)), len(rows) + rows
         done = np.zeros(len(rows) + len(last), dtype=np.bool_)

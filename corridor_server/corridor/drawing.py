@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.corridor.arrays import Bools, Floats, Parameters
 from corridor_server.corridor.colours import (
     BACKGROUND,
     FLOOR,
@@ -15,7 +16,7 @@ from corridor_server.corridor.colours import (
     WALL,
     Colour,
 )
-from corridor_server.corridor.world import Bools, Floats, Parameters, State
+from corridor_server.corridor.world import State
 
 WALL_THICKNESS = 0.3  # m
 

@@ -6,9 +6,9 @@ from dataclasses import fields
 
 import numpy as np
 
+from corridor_server.corridor.arrays import Floats
 from corridor_server.corridor.corridor_config import CorridorConfig, settable_parameters
 from corridor_server.corridor.streams import Streams
-from corridor_server.corridor.world import Floats
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 
 SETTABLE = settable_parameters()

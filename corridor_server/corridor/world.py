@@ -5,18 +5,15 @@ area, so that areas may differ. Positions are (x, z) in metres: x runs along the
 is element-wise float64, so an area's numbers do not depend on how many areas there are.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.corridor import observation as layout
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Counts = NDArray[np.int64]
-Parameters = Mapping[str, Floats]
+from corridor_server.corridor.arrays import Bools, Counts, Floats, Parameters
+from corridor_server.corridor.reward import step_reward
 
 ACTION_SIZE = 2
 # A thousand steps of -0.001 add up to just above -1 in floating point, and must end the episode all the same.
@@ -176,7 +173,7 @@ def step(p: Parameters, state: State, action: Floats) -> tuple[State, Outcome]:
     opponent_contact = apart <= p["agent_radius"] + p["opponent_radius"]
     success = switch_on & (_length(state.goal - position) <= p["goal_radius"])
 
-    reward = _reward(p, success, wall_contact, opponent_contact, d_opp)
+    reward = step_reward(p, success, wall_contact, opponent_contact, d_opp)
     episode_return = state.episode_return + reward
     episode_steps = state.episode_steps + 1
     failed = ~success & (episode_return <= p["failure_return"] + RETURN_TOLERANCE)
@@ -232,20 +229,6 @@ def statistics(state: State, outcome: Outcome) -> dict[str, Floats]:
         "Closest Approach": state.closest_approach,
         "Episode Length": state.episode_steps.astype(np.float64),
     }
-
-
-def _reward(p: Parameters, success: Bools, wall_contact: Bools, opponent_contact: Bools, d_opp: Floats) -> Floats:
-    """Eq. 9: the first case that applies (``np.select``, which takes three times as long)."""
-    cases = (
-        (success, p["goal_reward"]),
-        (wall_contact, -p["wall_penalty"]),
-        (opponent_contact, -p["contact_penalty"]),
-        (d_opp < p["near_distance"], -p["near_penalty"] - (1.0 - d_opp) / 4.0),
-    )
-    reward = -p["step_penalty"]
-    for applies, value in reversed(cases):
-        reward = np.where(applies, value, reward)
-    return reward
 
 
 def _nearest(position: Floats, opponent_position: Floats) -> Floats:

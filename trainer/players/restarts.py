@@ -1,14 +1,18 @@
-"""How often a player that died or hung is started again."""
+"""A player that died or hung is started again here, as often as the limits allow."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from mlagents_envs.exception import UnityException
 from rich.console import Console
 
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
-from trainer.players.failures import explain
+from trainer.players.failures import FAILURES, explain
+
+Player = TypeVar("Player")
 
 
 class Restarts:
@@ -34,8 +38,27 @@ class Restarts:
         """How many restarts there were."""
         return len(self._times)
 
-    def allow(self, failure: UnityException) -> None:
-        """Counts a restart.
+    def start_again(self, failure: UnityException, start: Callable[[], Player]) -> Player:
+        """Starts the player as often as it takes to have one that plays.
+
+        Args:
+            failure: Of which the former one died.
+            start: Starts it once; ``count`` already counts this time.
+
+        Raises:
+            TrainerError: It failed too often, or it can't be started.
+        """
+        while True:
+            self._allow(failure)
+            try:
+                return start()
+            except TrainerError as error:
+                if not self._launched or not isinstance(error.__cause__, FAILURES):
+                    raise
+                failure = error.__cause__
+
+    def _allow(self, failure: UnityException) -> None:
+        """Counts a restart and says why it is made.
 
         Raises:
             TrainerError: The limits allow no more.

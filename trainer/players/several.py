@@ -179,24 +179,19 @@ class Players(Slots):
         return next_observations, np.zeros(len(last), np.float32), np.ones(len(last), np.bool_), cut
 
     def _restart(self, number: int, failure: UnityException) -> None:
-        """Starts a player again, as often as it takes to have one that plays.
+        """Replaces a player that died.
 
         Raises:
-            TrainerError: It failed too often, or it can't be started.
+            TrainerError: It failed too often, it can't be started, or it is another one.
         """
-        dead = self._players[number].environment
+        dead, restarts = self._players[number].environment, self._restarts[number]
         self._former_exchange_seconds += dead.exchange_seconds
         dead.kill()
-        while True:
-            self._restarts[number].allow(failure)
-            try:
-                player = self._start(number, self._earlier_lives[number] + self._restarts[number].count)
-                break
-            except TrainerError as error:
-                if not self._launched or not isinstance(error.__cause__, FAILURES):
-                    raise
-                failure = error.__cause__
-        self._players[number] = player
+
+        def start() -> OpenPlayer:
+            return self._start(number, self._earlier_lives[number] + restarts.count)
+
+        self._players[number] = player = restarts.start_again(failure, start)
         self._check_alike(number, player)
 
     def _check_alike(self, number: int, player: OpenPlayer) -> None:
