@@ -187,7 +187,7 @@ def said(message):
         del each.value[:]
         each.value.extend(rows)
 """,
-        spec="teams",
+        spec="discrete_masks",
     ),
     "a mask without its last branch": Fault(
         conformance.Actions,

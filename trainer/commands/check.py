@@ -16,8 +16,7 @@ class Check(Options):
     timeout_wait: Seconds = 20.0
     """Seconds to wait for each message of the player."""
     strict: bool = False
-    """Also say which of corridor-server's own promises hold. Unity's runtime does not keep them; a table of their own
-    reports them, and the exit code stays the protocol's and the contract's."""
+    """Also say which of corridor-server's own promises hold, apart: Unity keeps few, and the exit code ignores them."""
 
     def run(self, typed: str) -> int:
         """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""
