@@ -1,11 +1,13 @@
 """Rows of one length in a protobuf message, as a structured array: constant bytes, with columns of values between."""
 
+import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from corridor_server.protocol.varints import is_varint
 from corridor_server.protocol.wire_bytes import varint
 
 FIELD_1 = b"\x0a"
@@ -18,18 +20,20 @@ class Column(NamedTuple):
         name: The column's.
         kind: The dtype of its numbers.
         shape: How many they are; a single number for ``()``.
+        varint: Whether they are the bytes of one varint, whose highest bits are then constant: set but in the last.
     """
 
     name: str
     kind: str
     shape: tuple[int, ...] = ()
+    varint: bool = False
 
 
 class RowTemplate:
     """A repeated field 1 whose entries all have this layout.
 
     Args:
-        parts: What an entry is made of: constant bytes, and columns.
+        parts: What an entry is made of: constant bytes, of which some stand before every column, and columns.
 
     Attributes:
         size: Bytes per row, tag and length included.
@@ -42,43 +46,65 @@ class RowTemplate:
         sizes = [len(part) if isinstance(part, bytes) else _size(part) for part in parts]
         prefix = FIELD_1 + varint(sum(sizes))
         columns, example, offset = {}, prefix, len(prefix)
+        constants, layout = [prefix], ""
         for part, size in zip(parts, sizes, strict=True):
             if isinstance(part, bytes):
+                constants[-1] += part
                 example += part
             else:
                 columns[part.name] = (np.dtype((part.kind, part.shape)), offset)
-                example += bytes(size)
+                layout += f"{len(constants[-1])}s{size}s"
+                constants.append(b"")
+                example += b"\x80" * (size - 1) + b"\0" if part.varint else bytes(size)
             offset += size
         self.size = offset
-        self.prefix = prefix
         self.names = tuple(columns)
         formats, offsets = [kind for kind, _ in columns.values()], [at for _, at in columns.values()]
         self.dtype = np.dtype({"names": self.names, "formats": formats, "offsets": offsets, "itemsize": offset})
         varying = np.zeros(1, self.dtype)
+        varints = {part.name for part in parts if isinstance(part, Column) and part.varint}
         for name in self.names:
-            varying[name].view(np.uint8)[...] = 255
-        self._mask = ~varying.view(np.uint8)
+            varying[name].view(np.uint8)[...] = 0x7F if name in varints else 0xFF
+        self._mask = ~varying.view(np.uint8)  # of as many rows as were read at once
         self._expected = example  # zero where values go, as under the mask
+        self._varints = [index for index, name in enumerate(self.names) if name in varints]
+        self._constants = tuple(constants)
+        self._struct = struct.Struct(f"{layout}{len(constants[-1])}s")
 
     def blank(self, count: int) -> NDArray[np.void]:
         """Rows whose columns are to be filled in."""
         return np.frombuffer(bytearray(self._expected) * count, self.dtype)
 
-    def mismatches(self, rows: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
-        """Which of the rows, (n, size) bytes, have another constant byte; None if none has."""
-        constants = rows & self._mask
-        if constants.tobytes() == self._expected * len(rows):  # as bytes: several times as fast as NumPy's comparison
+    def row(self, data: bytes, start: int) -> tuple[bytes, ...] | None:
+        """The columns' bytes of the row at ``start``, which lies inside the data; None if it has another layout."""
+        fields = self._struct.unpack_from(data, start)
+        values = fields[1::2]
+        if fields[::2] != self._constants or not all(is_varint(values[index]) for index in self._varints):
             return None
-        differs: NDArray[np.bool_] = (constants != np.frombuffer(self._expected, np.uint8)).any(axis=1)
-        return differs
+        return values
+
+    def joined(self, values: Sequence[bytes]) -> bytes:
+        """The row with these columns' bytes."""
+        parts = [part for pair in zip(self._constants, values, strict=False) for part in pair]
+        return b"".join([*parts, self._constants[-1]])
+
+    def run(self, data: bytes, start: int, count: int) -> NDArray[np.void]:
+        """Those of ``count`` rows at ``start`` that come before the first one with another constant byte."""
+        rows = np.frombuffer(data, self.dtype, count, start)
+        if len(self._mask) < count * self.size:
+            self._mask = np.tile(self._mask[: self.size], count)
+        constants = (rows.view(np.uint8) & self._mask[: count * self.size]).tobytes()
+        expected = self._expected * count
+        if constants == expected:  # as bytes: several times as fast as NumPy's comparison
+            return rows
+        differs = np.frombuffer(constants, np.uint8) != np.frombuffer(expected, np.uint8)
+        return rows[: int(differs.argmax()) // self.size]
 
     def all(self, data: bytes, start: int, end: int) -> NDArray[np.void] | None:
         """The rows from start to end, if that is what they are."""
         count, rest = divmod(end - start, self.size)
-        if rest:
-            return None
-        raw = np.frombuffer(data, np.uint8, count * self.size, start)
-        return raw.view(self.dtype) if self.mismatches(raw.reshape(count, self.size)) is None else None
+        rows = None if rest else self.run(data, start, count)
+        return rows if rows is not None and len(rows) == count else None
 
 
 def _size(column: Column) -> int:

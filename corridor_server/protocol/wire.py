@@ -14,7 +14,8 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from corridor_server.protocol import columnar
-from corridor_server.protocol.agent_rows import AgentRows, Sensor
+from corridor_server.protocol.agent_layout import Sensor
+from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import (
     ACADEMY,

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from corridor_server.protocol.agent_rows import AgentRows, Sensor
+from corridor_server.protocol.agent_layout import Sensor
+from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import AgentInfoProto, UnityMessageProto
 

@@ -94,6 +94,24 @@ def test_numbers_written_at_more_length_than_needed_are_read_as_protobuf_reads_t
         assert same(read[0][BEHAVIOR], parsed(data)[0][BEHAVIOR])
 
 
+def test_rows_of_one_length_with_other_fields_are_told_apart():
+    """An id of five bytes is as long as one of a byte with a mask."""
+    behavior, count = "Old", 40
+    rng = np.random.default_rng(0)
+    observations = (rng.normal(size=(count, 2)).astype(np.float32),)
+    ids = np.where(np.arange(count) % 20 < 10, 2**31 - 1, 90).astype(np.int32)
+    alone = Agents.ungrouped(ids, np.ones(count, np.float32), *np.zeros((2, count), np.bool_), observations)
+    message = UnityMessageProto.FromString(message_of({behavior: alone}))
+    for info in message.unity_output.rl_output.agentInfos[behavior].value:
+        if info.id == 90:
+            info.action_mask.extend([False, True])
+    data = message.SerializeToString()
+    for _ in range(2):  # what was read before is no guide
+        read = columnar.read_output(data, ROWS)
+        assert read is not None
+        assert same(read[0][behavior], parsed(data)[0][behavior])
+
+
 UNUSUAL = {
     "an unknown field after the message": lambda data: data + b"\xf8\x01\x07",
     "an unknown field before it": lambda data: b"\xf8\x01\x07" + data,

@@ -13,7 +13,8 @@ from mlagents_envs.environment import UnityEnvironment
 from corridor_server.corridor.areas import BEHAVIOR, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
-from corridor_server.protocol.agent_rows import AgentRows, Sensor
+from corridor_server.protocol.agent_layout import Sensor
+from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import EXCHANGE
 from corridor_server.protocol.wire import NO_PROPERTY

@@ -13,7 +13,8 @@ from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.exception import UnityObservationException
 from numpy.typing import NDArray
 
-from corridor_server.protocol.agent_rows import AgentRows, Sensor
+from corridor_server.protocol.agent_layout import Sensor
+from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
 from trainer.players.failures import BadNumbers
 
@@ -49,16 +50,22 @@ def steps(agents: Agents, spec: BehaviorSpec) -> Steps:
         UnityObservationException: An agent comes twice.
     """
     several = len(agents.observations) > 1
-    fields = [(f"observations[{n}]" if several else "observation", o) for n, o in enumerate(agents.observations)]
-    for field, values in (*fields, ("reward", agents.rewards), ("group reward", agents.group_rewards)):
-        finite = np.isfinite(values)
-        if not finite.all():
-            row, *component = np.argwhere(~finite)[0].tolist()
-            where = f"[{np.ravel_multi_index(tuple(component), values.shape[1:])}]" if component else ""
-            raise BadNumbers(f"{field}{where}", float(values[row, *component]), int(agents.ids[row]))
+    for number, values in enumerate(agents.observations):
+        _check_finite(f"observations[{number}]" if several else "observation", values, agents.ids)
+    _check_finite("reward", agents.rewards, agents.ids)
+    if np.count_nonzero(agents.group_rewards):
+        _check_finite("group reward", agents.group_rewards, agents.ids)
     found = _decision(agents.deciding, spec), _terminal(agents.ended)
     check_ids(found)
     return found
+
+
+def _check_finite(field: str, values: NDArray[np.float32], ids: NDArray[np.int32]) -> None:
+    finite = np.isfinite(values)
+    if np.count_nonzero(finite) < finite.size:
+        row, *component = np.argwhere(~finite)[0].tolist()
+        where = f"[{np.ravel_multi_index(tuple(component), values.shape[1:])}]" if component else ""
+        raise BadNumbers(f"{field}{where}", float(values[row, *component]), int(ids[row]))
 
 
 def _decision(agents: Agents, spec: BehaviorSpec) -> DecisionSteps:
@@ -82,7 +89,7 @@ def check_ids(found: Steps) -> None:
     """
     for part, does in zip(found, ("asks for a decision", "ends"), strict=True):
         ids: NDArray[np.int32] = part.agent_id
-        if (ids[1:] > ids[:-1]).all():  # as players send them
+        if np.count_nonzero(ids[1:] > ids[:-1]) >= len(ids) - 1:  # in order, as players send them
             continue
         each, counts = np.unique(ids, return_counts=True)
         if (counts > 1).any():
