@@ -10,7 +10,7 @@ from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityExce
 
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
-from trainer.players import decoding
+from trainer.players import steps as mlagents_steps
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
 from trainer.players.location import LOOPBACK
@@ -84,16 +84,16 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     def reset(self) -> None:
         """Begins an episode everywhere."""
         super().reset()
-        self._rows = decoding.rows_of(self.behavior_specs)
+        self._rows = mlagents_steps.rows_of(self.behavior_specs)
 
     def _update_state(self, output: Any) -> None:
-        decoding.check_counts(output, self._env_specs)
+        mlagents_steps.check_counts(output, self._env_specs)
         sent = self._env_specs
         self._env_specs, turned = channels_last(output.agentInfos, sent)
         try:
             super()._update_state(output)
         except RuntimeError as error:  # what mlagents_envs raises for NaN or Inf, and for nothing else
-            raise decoding.bad_number(output) from error
+            raise mlagents_steps.bad_number(output) from error
         except (OSError, SyntaxError) as error:  # Pillow's
             raise UnityObservationException(f"The player sent a picture that can't be read ({error}).") from error
         finally:
@@ -102,7 +102,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             for steps in self._env_state[behavior]:
                 steps.obs[index] = steps.obs[index].transpose(0, 3, 1, 2)
         for found in self._env_state.values():
-            decoding.check_ids(found)
+            mlagents_steps.check_ids(found)
 
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
@@ -139,11 +139,11 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             self._update_behavior_specs(output)
             self._update_state(output.rl_output)
             if output.rl_initialization_output.brain_parameters:
-                self._rows = decoding.rows_of(self.behavior_specs)
+                self._rows = mlagents_steps.rows_of(self.behavior_specs)
         else:
             for name, spec in self._env_specs.items():
                 none = DecisionSteps.empty(spec), TerminalSteps.empty(spec)
-                self._env_state[name] = decoding.steps(read[0][name], spec) if name in read[0] else none
+                self._env_state[name] = mlagents_steps.steps(read[0][name], spec) if name in read[0] else none
             self._side_channel_manager.process_side_channel_message(read[1])
         self._env_actions.clear()
         self.exchange_seconds += time.perf_counter() - began

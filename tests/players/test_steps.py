@@ -16,7 +16,7 @@ from messages_of_agents import KINDS, message_of, random_agents
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.columnar import read_output
 from corridor_server.protocol.messages import MODULES, UnityMessageProto
-from trainer.players import decoding
+from trainer.players import steps as mlagents_steps
 from trainer.players.failures import BadNumbers
 
 
@@ -53,11 +53,11 @@ def equal(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize("seed", range(40))
 def test_steps_are_those_of_mlagents_envs(behavior, seed):
     data, spec = message_of({behavior: finite_agents(seed, behavior)}), spec_of(behavior)
-    rows = decoding.rows_of({behavior: spec})
+    rows = mlagents_steps.rows_of({behavior: spec})
     assert rows is not None
     read = read_output(data, rows)
     assert read is not None, "left to the parser"
-    ours = decoding.steps(read[0][behavior], spec)
+    ours = mlagents_steps.steps(read[0][behavior], spec)
     theirs = steps_from_proto(
         UnityMessageProto.FromString(data).unity_output.rl_output.agentInfos[behavior].value, spec
     )
@@ -69,8 +69,8 @@ def test_steps_are_those_of_mlagents_envs(behavior, seed):
 def test_pictures_are_left_to_the_parser():
     spec = spec_of("Old")
     picture = spec.observation_specs[0]._replace(shape=(3, 8, 8))
-    assert decoding.rows_of({"A": spec, "B": BehaviorSpec([picture], ActionSpec(2, ()))}) is None
-    assert decoding.rows_of({"A": BehaviorSpec([], ActionSpec(2, ()))}) is None
+    assert mlagents_steps.rows_of({"A": spec, "B": BehaviorSpec([picture], ActionSpec(2, ()))}) is None
+    assert mlagents_steps.rows_of({"A": BehaviorSpec([], ActionSpec(2, ()))}) is None
 
 
 @pytest.mark.parametrize(
@@ -96,9 +96,9 @@ def test_a_number_that_is_none_is_named_alike_by_columns_and_by_the_parser(behav
     change(agents)
     message = UnityMessageProto.FromString(message_of({behavior: agents})).unity_output.rl_output
     with pytest.raises(BadNumbers, match=says):
-        decoding.steps(agents, spec_of(behavior))
+        mlagents_steps.steps(agents, spec_of(behavior))
     with pytest.raises(BadNumbers, match=says):
-        raise decoding.bad_number(message)
+        raise mlagents_steps.bad_number(message)
 
 
 def test_an_agent_that_comes_twice_is_named():
@@ -107,14 +107,14 @@ def test_an_agent_that_comes_twice_is_named():
     agents.ids[:], agents.done[:] = np.arange(len(agents)), False
     agents.done[:2] = True
     agents.ids[1] = 5  # ends, and begins anew: as Unity does it with a decision period of 1
-    decoding.steps(agents, spec)
+    mlagents_steps.steps(agents, spec)
     agents.ids[3] = 5
     with pytest.raises(UnityObservationException, match="agent 5 2 times in one message where it asks for a decision"):
-        decoding.steps(agents, spec)
+        mlagents_steps.steps(agents, spec)
     agents.ids[:2] = 9
     agents.ids[3] = 3
     with pytest.raises(UnityObservationException, match="agent 9 2 times in one message where it ends"):
-        decoding.steps(agents, spec)
+        mlagents_steps.steps(agents, spec)
 
 
 def _lose_a_number(info: Any) -> None:
@@ -144,7 +144,7 @@ def test_a_count_that_does_not_fit_is_named_with_its_agent_and_field(change, say
     agents.ids[:] = np.arange(len(agents))
     rl_output = UnityMessageProto.FromString(message_of({behavior: agents})).unity_output.rl_output
     specs = {behavior: spec_of(behavior)}
-    decoding.check_counts(rl_output, specs)
+    mlagents_steps.check_counts(rl_output, specs)
     change(rl_output.agentInfos[behavior].value[4])
     with pytest.raises(UnityObservationException, match=f"agent 4 of behavior Soccer.team=1 with {says}"):
-        decoding.check_counts(rl_output, specs)
+        mlagents_steps.check_counts(rl_output, specs)
