@@ -1,4 +1,4 @@
-"""Agents that are being read from a message, as columns that are filled from the top."""
+"""Agents that are being read from a message, as columns that are being filled."""
 
 from typing import Any
 
@@ -22,7 +22,6 @@ class AgentColumns:
     """
 
     def __init__(self, count: int, shapes: dict[str, tuple[int, ...]], choices: int) -> None:
-        self._at = 0
         self._ids, self._groups = np.zeros(count, np.int32), np.zeros(count, np.int32)
         self._done, self._interrupted = np.zeros((2, count), np.bool_)
         self._observations = {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
@@ -34,9 +33,8 @@ class AgentColumns:
         }
         self._views: dict[str, memoryview] = {}
 
-    def add(self, row: AgentRow, values: tuple[bytes, ...]) -> bool:
-        """Takes up one row; returns whether its numbers can be what they say."""
-        at = self._at
+    def put(self, at: int, row: AgentRow, values: tuple[bytes, ...]) -> bool:
+        """Takes up one row, as number ``at``; returns whether its numbers can be what they say."""
         for name, value in zip(row.template.names, values, strict=True):
             if name in _VARINTS:
                 number = number_in(value)
@@ -50,7 +48,6 @@ class AgentColumns:
             self._done[at] = True
         if row.layout.interrupted:
             self._interrupted[at] = True
-        self._at += 1
         return True
 
     def _bytes(self, name: str) -> memoryview:
@@ -60,9 +57,8 @@ class AgentColumns:
             view = self._views[name] = self._values[name].data.cast("B")
         return view
 
-    def add_run(self, row: AgentRow, rows: NDArray[np.void]) -> bool:
-        """Takes up rows of one layout; returns whether their numbers can be what they say."""
-        places = slice(self._at, self._at + len(rows))
+    def put_run(self, places: Any, row: AgentRow, rows: NDArray[np.void]) -> bool:
+        """Takes up rows of one layout, as the numbers ``places``; returns whether they can be what they say."""
         for name in row.template.names:
             if name in _VARINTS:
                 numbers = numbers_in(rows[name])
@@ -75,7 +71,6 @@ class AgentColumns:
             self._done[places] = True
         if row.layout.interrupted:
             self._interrupted[places] = True
-        self._at += len(rows)
         return True
 
     def agents(self, branches: list[slice]) -> Agents | None:

@@ -5,7 +5,8 @@ there, and by how many bytes an id has. But they have few such layouts, mostly i
 structured array. Whatever doesn't look so, from whichever peer, is left to the protobuf parser.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +21,6 @@ _FEW = 12  # runs of rows of one layout that are written one after the other
 _SHORT_RUN = 6  # rows that are quicker read one by one
 _SMALLEST = 4  # bytes of a row that has an observation, and more
 _LOOK_AHEAD = 1024  # rows at a time in which a reader looks for more of one length
-
-
-class _Piece(NamedTuple):
-    """Rows of one size, one after the other.
-
-    Attributes:
-        start: Where the first one starts in the message.
-        size: Bytes per row.
-        rows: How many there are.
-    """
-
-    start: int
-    size: int
-    rows: int
 
 
 class AgentRows:
@@ -120,29 +107,38 @@ class AgentRows:
         pieces = _pieces(data, start, end)
         if pieces is None:
             return None
-        columns = AgentColumns(sum(piece.rows for piece in pieces), self._layouts.shapes, self._layouts.choices)
-        for piece in pieces:
-            if not self._read_piece(data, piece, columns):
+        count = sum(rows for of_size in pieces.values() for _, _, rows in of_size)
+        columns = AgentColumns(count, self._layouts.shapes, self._layouts.choices)
+        for size, of_size in pieces.items():
+            first, begin, rows = of_size[0]
+            places: Sequence[int] = range(first, first + rows)
+            buffer = data
+            if len(of_size) > 1:  # copying is cheaper than reading each piece by itself
+                buffer, begin = b"".join([data[at : at + size * many] for _, at, many in of_size]), 0
+                places = [place for first, _, many in of_size for place in range(first, first + many)]
+            if not self._read_size(buffer, begin, size, places, columns):
                 return None
         return columns.agents(self._layouts.branches)
 
-    def _read_piece(self, data: bytes, piece: _Piece, columns: AgentColumns) -> bool:
-        """Takes rows of one size into the columns; returns whether they are of this form."""
-        start, left, alone = piece.start, piece.rows, 0
-        while left:
-            found = self._row_at(data, start, piece.size)
+    def _read_size(self, data: bytes, start: int, size: int, places: Sequence[int], columns: AgentColumns) -> bool:
+        """Puts rows of one size, one after the other, into their places; returns whether they are of this form."""
+        done, alone = 0, 0
+        while done < len(places):
+            at, left = start + done * size, len(places) - done
+            found = self._row_at(data, at, size)
             if found is None:
                 return False
             row, values = found
             if left < _SHORT_RUN or alone:
-                fits, taken, alone = columns.add(row, values), 1, max(alone - 1, 0)
+                fits, taken, alone = columns.put(places[done], row, values), 1, max(alone - 1, 0)
             else:
-                rows = row.template.run(data, start, min(left, _LOOK_AHEAD))
-                fits, taken = columns.add_run(row, rows), len(rows)
+                rows = row.template.run(data, at, min(left, _LOOK_AHEAD))
+                taken = len(rows)
+                fits = columns.put_run(_index(places[done : done + taken]), row, rows)
                 alone = _SHORT_RUN if taken < _SHORT_RUN else 0  # not to look far ahead again and again in vain
             if not fits:
                 return False
-            start, left = start + taken * piece.size, left - taken
+            done += taken
         return True
 
     def _row_at(self, data: bytes, start: int, size: int) -> tuple[AgentRow, tuple[bytes, ...]] | None:
@@ -162,23 +158,28 @@ class AgentRows:
         return row, values
 
 
-def _pieces(data: bytes, start: int, end: int) -> list[_Piece] | None:
-    """Where rows of one size lie one after the other, going by their lengths; None if they don't end at ``end``."""
-    pieces: list[_Piece] = []
-    previous = 0
+def _pieces(data: bytes, start: int, end: int) -> dict[int, list[tuple[int, int, int]]] | None:
+    """By size, rows that lie one after the other, going by their lengths: the first one's number and start, how many.
+
+    None if they don't end at ``end``.
+    """
+    pieces: dict[int, list[tuple[int, int, int]]] = {}
+    row, previous = 0, 0
     try:
         while start < end:
-            prefix = 1 + varint_size(data, start + 1)
-            size = prefix + (data[start + 1] if prefix == 2 else number_in(data[start + 1 : start + prefix]))
-            count = 1
+            prefix, size = 2, 2 + data[start + 1]
+            if size > 0x81:
+                prefix = 1 + varint_size(data, start + 1)
+                size = prefix + number_in(data[start + 1 : start + prefix])
+            of_size, count = pieces.setdefault(size, []), 1
             if size == previous:
                 stop = min(end, start + _LOOK_AHEAD * size)
-                count = min(_repeats(data[index:stop:size]) for index in range(start + 1, start + prefix))
-                before = pieces.pop()
-                pieces.append(_Piece(before.start, size, before.rows + count))
+                count = min([_repeats(data[index:stop:size]) for index in range(start + 1, start + prefix)])
+                first, begin, rows = of_size.pop()
+                of_size.append((first, begin, rows + count))
             else:
-                pieces.append(_Piece(start, size, 1))
-            start, previous = start + count * size, size
+                of_size.append((row, start, 1))
+            row, start, previous = row + count, start + count * size, size
     except IndexError:
         return None
     return pieces if start == end else None
@@ -187,6 +188,10 @@ def _pieces(data: bytes, start: int, end: int) -> list[_Piece] | None:
 def _repeats(values: bytes) -> int:
     """How often the first byte comes before another one does."""
     return len(values) - len(values.lstrip(values[:1]))
+
+
+def _index(places: Sequence[int]) -> Any:
+    return slice(places.start, places.stop) if isinstance(places, range) else np.array(places, np.intp)
 
 
 def _windows(data: bytes | bytearray, size: int) -> NDArray[np.void]:
