@@ -5,12 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.row_template import Column, RowTemplate
-from corridor_server.protocol.varints import LONGEST, byte_counts, varint_size
+from corridor_server.protocol.row_template import Column, Parts, RowTemplate, example, repeated
+from corridor_server.protocol.varints import LONGEST, varint_size
 from corridor_server.protocol.wire_bytes import length_delimited, varint
 
 # Tags of AgentInfoProto's fields.
@@ -72,46 +68,36 @@ class AgentLayouts:
         self.branches = [slice(end - size, end) for size, end in zip(branches, ends, strict=True)]
         self.choices = sum(branches)
         self._mask_start = bytes((_MASK,)) + varint(self.choices)
-        self._observations: list[bytes | Column] = []
+        self._observations: Parts = []
         for number, sensor in enumerate(sensors):
             self._observations += _observation(number, sensor)
-        self._observation_bytes = sum(
-            len(part) if isinstance(part, bytes) else 4 * math.prod(part.shape) for part in self._observations
-        )
+        self._observation_bytes = len(example(self._observations))
         self._rows: dict[Layout, AgentRow] = {}
-        self._of_keys: dict[int, AgentRow] = {}
 
     def _row(self, layout: Layout) -> AgentRow:
         row = self._rows.get(layout)
         if row is None:
-            row = self._rows[layout] = AgentRow(RowTemplate(self._parts(layout)), layout)
+            parts = [part for field in self.fields(layout) for part in field]
+            row = self._rows[layout] = AgentRow(repeated(parts), layout)
         return row
 
-    def _parts(self, layout: Layout) -> list[bytes | Column]:
-        parts: list[bytes | Column] = []
-        if layout.reward:
-            parts += [bytes((_REWARD,)), Column("reward", "<f4")]
-        if layout.done:
-            parts.append(bytes((_DONE, 1)))
-        if layout.interrupted:
-            parts.append(bytes((_INTERRUPTED, 1)))
-        if layout.id_bytes:
-            parts += [bytes((_ID,)), Column("id", "u1", (layout.id_bytes,), varint=True)]
-        if layout.masked:
-            parts += [self._mask_start, Column("mask", "u1", (self.choices,))]
-        parts += self._observations
-        if layout.group_bytes:
-            parts += [bytes((_GROUP,)), Column("group", "u1", (layout.group_bytes,), varint=True)]
-        if layout.group_reward:
-            parts += [bytes((_GROUP_REWARD,)), Column("group_reward", "<f4")]
-        return parts
-
-    def of_key(self, key: int) -> AgentRow:
-        """That of a row with this one of ``layout_keys``."""
-        row = self._of_keys.get(key)
-        if row is None:
-            row = self._of_keys[key] = self._row(_layout(key))
-        return row
+    def fields(self, layout: Layout) -> list[Parts]:
+        """A row's fields, in order; an empty one for each that the layout doesn't have."""
+        reward: Parts = [bytes((_REWARD,)), Column("reward", "<f4")]
+        identity: Parts = [bytes((_ID,)), Column("id", "u1", (layout.id_bytes,), varint=True)]
+        mask: Parts = [self._mask_start, Column("mask", "u1", (self.choices,))]
+        group: Parts = [bytes((_GROUP,)), Column("group", "u1", (layout.group_bytes,), varint=True)]
+        group_reward: Parts = [bytes((_GROUP_REWARD,)), Column("group_reward", "<f4")]
+        return [
+            reward if layout.reward else [],
+            [bytes((_DONE, 1))] if layout.done else [],
+            [bytes((_INTERRUPTED, 1))] if layout.interrupted else [],
+            identity if layout.id_bytes else [],
+            mask if layout.masked else [],
+            self._observations,
+            group if layout.group_bytes else [],
+            group_reward if layout.group_reward else [],
+        ]
 
     def like(self, row: bytes) -> AgentRow | None:
         """The layout that a row has, going by its tags; None if there is none of its length."""
@@ -141,7 +127,7 @@ def _observation_name(number: int) -> str:
     return f"observation {number}"
 
 
-def _observation(number: int, sensor: Sensor) -> list[bytes | Column]:
+def _observation(number: int, sensor: Sensor) -> Parts:
     """An agent's field 13, an ObservationProto of uncompressed numbers."""
     size = 4 * math.prod(sensor.shape)
     floats = Column(_observation_name(number), "<f4", sensor.shape)
@@ -153,32 +139,3 @@ def _observation(number: int, sensor: Sensor) -> list[bytes | Column]:
     after += b"\x38" + varint(sensor.kind) if sensor.kind else b""
     after += length_delimited(8, sensor.name.encode()) if sensor.name else b""
     return [b"\x6a" + varint(len(before) + size + len(after)) + before, floats, after]
-
-
-def layout_keys(agents: Agents) -> NDArray[np.intp]:
-    """A number per agent for its row's layout: see ``_layout``."""
-    keys = byte_counts(agents.ids) << 4  # how many bytes the id has
-    keys += agents.rewards.view(np.int32) != 0  # protobuf goes by the bits: -0.0 is written
-    if agents.masks:
-        keys += 8
-    for weight, flags in ((2, agents.done), (4, agents.interrupted)):
-        if np.count_nonzero(flags):
-            keys += weight * flags
-    if np.count_nonzero(agents.group_ids):
-        keys += byte_counts(agents.group_ids) << 7
-    group_rewards = agents.group_rewards.view(np.int32)
-    if np.count_nonzero(group_rewards):
-        keys += (group_rewards != 0).astype(np.intp) << 10
-    return keys
-
-
-def _layout(key: int) -> Layout:
-    return Layout(
-        reward=bool(key & 1),
-        done=bool(key & 2),
-        interrupted=bool(key & 4),
-        masked=bool(key & 8),
-        id_bytes=key >> 4 & 7,
-        group_bytes=key >> 7 & 7,
-        group_reward=bool(key >> 10 & 1),
-    )

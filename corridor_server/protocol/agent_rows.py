@@ -9,15 +9,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from corridor_server.protocol.agent_columns import AgentColumns
-from corridor_server.protocol.agent_layout import AgentLayouts, AgentRow, Layout, Sensor, layout_keys
+from corridor_server.protocol.agent_layout import AgentLayouts, AgentRow, Sensor
+from corridor_server.protocol.agent_writer import AgentWriter
 from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.varints import number_in, put_numbers, varint_size
-from corridor_server.protocol.wire_bytes import varint
+from corridor_server.protocol.varints import number_in, varint_size
 
-_FEW = 12  # runs of rows of one layout that are written one after the other
 _SHORT_RUN = 6  # rows that are quicker read one by one
 _SMALLEST = 4  # bytes of a row that has an observation, and more
 _LOOK_AHEAD = 1024  # rows at a time in which a reader looks for more of one length
@@ -33,6 +31,7 @@ class AgentRows:
 
     def __init__(self, sensors: tuple[Sensor, ...], branches: tuple[int, ...] = ()) -> None:
         self._layouts = AgentLayouts(sensors, branches)
+        self._writer = AgentWriter(self._layouts)
         self._last_read: dict[int, AgentRow] = {}
 
     def write(self, agents: Agents) -> bytes:
@@ -41,66 +40,7 @@ class AgentRows:
         Args:
             agents: Ids and group ids are not negative; masks are written if there are any.
         """
-        if not len(agents):
-            return b""
-        keys = layout_keys(agents)
-        borders = [1 + border for border in (keys[1:] != keys[:-1]).nonzero()[0].tolist()]
-        if len(borders) > _FEW:
-            return self._scattered(keys, agents)
-        runs = zip([0, *borders], [*borders, len(keys)], strict=True)
-        return b"".join([self._run(int(keys[start]), agents, start, end) for start, end in runs])
-
-    def _run(self, key: int, agents: Agents, start: int, end: int) -> bytes:
-        """Rows of one layout, one after the other."""
-        if end - start > 1:
-            return self._filled(key, agents, slice(start, end), end - start)
-        return self._layouts.of_key(key).template.joined(self._values(self._layouts.of_key(key).layout, agents, start))
-
-    def _values(self, layout: Layout, agents: Agents, at: int) -> list[bytes]:
-        """The columns' bytes of one agent's row."""
-        values = [agents.rewards[at].tobytes()] if layout.reward else []
-        if layout.id_bytes:
-            values.append(varint(int(agents.ids[at])))
-        if layout.masked:
-            values.append(b"".join([mask[at].tobytes() for mask in agents.masks]))
-        values += [each[at].tobytes() for each in agents.observations]
-        if layout.group_bytes:
-            values.append(varint(int(agents.group_ids[at])))
-        if layout.group_reward:
-            values.append(agents.group_rewards[at].tobytes())
-        return values
-
-    def _scattered(self, keys: NDArray[np.intp], agents: Agents) -> bytes:
-        """Layout by layout, for rows whose layouts come in no order."""
-        places = [(keys == key).nonzero()[0] for key in np.flatnonzero(np.bincount(keys))]
-        filled = [self._filled(int(keys[place[0]]), agents, place, len(place)) for place in places]
-        lengths = np.empty(len(agents), np.intp)
-        for place, rows in zip(places, filled, strict=True):
-            lengths[place] = len(rows) // len(place)
-        starts = lengths.cumsum() - lengths
-        data = bytearray(int(lengths.sum()))
-        for place, rows in zip(places, filled, strict=True):
-            size = len(rows) // len(place)
-            _windows(data, size)[starts[place]] = np.frombuffer(rows, f"V{size}")
-        return bytes(data)
-
-    def _filled(self, key: int, agents: Agents, place: Any, count: int) -> bytes:
-        """Rows of one layout."""
-        row = self._layouts.of_key(key)
-        rows, layout = row.template.blank(count), row.layout
-        if layout.reward:
-            rows["reward"] = agents.rewards[place]
-        if layout.id_bytes:
-            put_numbers(rows["id"], agents.ids[place])
-        if layout.masked:
-            rows["mask"] = np.concatenate([mask[place] for mask in agents.masks], axis=1)
-        for name, values in zip(self._layouts.shapes, agents.observations, strict=True):
-            rows[name] = values[place]
-        if layout.group_bytes:
-            put_numbers(rows["group"], agents.group_ids[place])
-        if layout.group_reward:
-            rows["group_reward"] = agents.group_rewards[place]
-        return rows.tobytes()
+        return self._writer.write(agents)
 
     def read(self, data: bytes, start: int, end: int) -> Agents | None:
         """The agents whose rows lie from start to end; None if they are not of this form."""
@@ -192,8 +132,3 @@ def _repeats(values: bytes) -> int:
 
 def _index(places: Sequence[int]) -> Any:
     return slice(places.start, places.stop) if isinstance(places, range) else np.array(places, np.intp)
-
-
-def _windows(data: bytes | bytearray, size: int) -> NDArray[np.void]:
-    """Every run of ``size`` bytes, by where it starts."""
-    return np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))

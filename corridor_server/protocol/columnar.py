@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
 from corridor_server.protocol.messages import AgentActionProto
-from corridor_server.protocol.row_template import Column, RowTemplate
+from corridor_server.protocol.row_template import Column, Parts, RowTemplate, repeated
 from corridor_server.protocol.wire_bytes import HEADER_OK, MessageWalker, length_delimited, varint
 
 # Field numbers, from a message down to its rows: player to trainer, and trainer to player.
@@ -170,11 +170,11 @@ def read_step(data: bytes, behavior: str, size: int, branches: Sequence[int] = (
 
 @cache
 def _action_template(size: int, branches: int, deprecated: bool) -> RowTemplate:
-    def packed(number: int, column: Column, count: int, width: int) -> list[bytes | Column]:
+    def packed(number: int, column: Column, count: int, width: int) -> Parts:
         return [varint(number << 3 | 2) + varint(count * width), column] if count else []
 
     both = size + branches if deprecated else 0
     parts = packed(_DEPRECATED, Column("deprecated", "<f4", (both,)), both, 4)
     parts += packed(_CONTINUOUS, Column("continuous", "<f4", (size,)), size, 4)
     parts += packed(_DISCRETE, Column("discrete", "u1", (branches,)), branches, 1)
-    return RowTemplate(parts)
+    return repeated(parts)

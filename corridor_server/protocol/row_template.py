@@ -1,7 +1,6 @@
 """Rows of one length in a protobuf message, as a structured array: constant bytes, with columns of values between."""
 
 import struct
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,33 +28,42 @@ class Column(NamedTuple):
     varint: bool = False
 
 
+Parts = list[bytes | Column]
+
+
+def example(parts: Parts) -> bytes:
+    """The bytes of these parts, with 0 for all values."""
+    return b"".join(part if isinstance(part, bytes) else _blank(part) for part in parts)
+
+
+def _blank(column: Column) -> bytes:
+    size = np.dtype((column.kind, column.shape)).itemsize
+    return b"\x80" * (size - 1) + b"\0" if column.varint else bytes(size)
+
+
 class RowTemplate:
-    """A repeated field 1 whose entries all have this layout.
+    """Rows that all have this layout.
 
     Args:
-        parts: What an entry is made of: constant bytes, of which some stand before every column, and columns.
+        parts: What a row is made of: constant bytes, of which some stand before every column, and columns.
 
     Attributes:
-        size: Bytes per row, tag and length included.
+        size: Bytes per row.
         dtype: Of a row, with the columns only.
         names: Of the columns.
-        prefix: The tag and length that each row begins with.
     """
 
-    def __init__(self, parts: Sequence[bytes | Column]) -> None:
-        sizes = [len(part) if isinstance(part, bytes) else _size(part) for part in parts]
-        prefix = FIELD_1 + varint(sum(sizes))
-        columns, example, offset = {}, prefix, len(prefix)
-        constants, layout = [prefix], ""
-        for part, size in zip(parts, sizes, strict=True):
+    def __init__(self, parts: Parts) -> None:
+        columns, offset = {}, 0
+        constants, layout = [b""], ""
+        for part in parts:
+            size = len(example([part]))
             if isinstance(part, bytes):
                 constants[-1] += part
-                example += part
             else:
                 columns[part.name] = (np.dtype((part.kind, part.shape)), offset)
                 layout += f"{len(constants[-1])}s{size}s"
                 constants.append(b"")
-                example += b"\x80" * (size - 1) + b"\0" if part.varint else bytes(size)
             offset += size
         self.size = offset
         self.names = tuple(columns)
@@ -66,7 +74,7 @@ class RowTemplate:
         for name in self.names:
             varying[name].view(np.uint8)[...] = 0x7F if name in varints else 0xFF
         self._mask = ~varying.view(np.uint8)  # of as many rows as were read at once
-        self._expected = example  # zero where values go, as under the mask
+        self._expected = example(parts)  # zero where values go, as under the mask
         self._varints = [index for index, name in enumerate(self.names) if name in varints]
         self._constants = tuple(constants)
         self._struct = struct.Struct(f"{layout}{len(constants[-1])}s")
@@ -82,11 +90,6 @@ class RowTemplate:
         if fields[::2] != self._constants or not all(is_varint(values[index]) for index in self._varints):
             return None
         return values
-
-    def joined(self, values: Sequence[bytes]) -> bytes:
-        """The row with these columns' bytes."""
-        parts = [part for pair in zip(self._constants, values, strict=False) for part in pair]
-        return b"".join([*parts, self._constants[-1]])
 
     def run(self, data: bytes, start: int, count: int) -> NDArray[np.void]:
         """Those of ``count`` rows at ``start`` that come before the first one with another constant byte."""
@@ -107,5 +110,6 @@ class RowTemplate:
         return rows if rows is not None and len(rows) == count else None
 
 
-def _size(column: Column) -> int:
-    return np.dtype((column.kind, column.shape)).itemsize
+def repeated(parts: Parts) -> RowTemplate:
+    """Rows that are entries of a repeated field 1: each with its tag and length before it."""
+    return RowTemplate([FIELD_1 + varint(len(example(parts))), *parts])

@@ -12,14 +12,6 @@ def byte_counts(numbers: NDArray[np.int32]) -> NDArray[np.intp]:
     return np.searchsorted(_SHORTEST_OF, numbers, side="right")
 
 
-def put_numbers(groups: NDArray[np.uint8], numbers: NDArray[np.int32]) -> None:
-    """Writes numbers as varints of as many bytes as ``groups`` has columns, which is how many they need."""
-    last = groups.shape[1] - 1
-    for index in range(last):
-        groups[:, index] = numbers >> 7 * index & 0x7F | 0x80
-    groups[:, last] = numbers >> 7 * last if last else numbers
-
-
 def varint_size(data: bytes, start: int) -> int:
     """How many bytes the varint at ``start`` has; an IndexError if the data ends in it."""
     end = start
