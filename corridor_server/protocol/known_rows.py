@@ -9,7 +9,7 @@ REWARD, GROUP_REWARD, FIRST_OBSERVATION, VARYING = 1, 2, 3, 255  # marks of byte
 
 
 class KnownRows:
-    """Reads rows that differ from earlier ones in nothing but rewards and observations, in a few operations.
+    """Reads and writes rows that differ from earlier ones in nothing but rewards and observations.
 
     Args:
         rows: The earlier ones, as protobuf writes them.
@@ -23,9 +23,8 @@ class KnownRows:
         self._branches = [mask.shape[1] for mask in agents.masks]
         self._mask = np.where(marks == 0, 0xFF, 0).astype(np.uint8)
         self._constants = (np.frombuffer(rows, np.uint8) & self._mask).tobytes()
-        columns = [(REWARD, agents.rewards), (GROUP_REWARD, agents.group_rewards)]
-        columns += enumerate(agents.observations, FIRST_OBSERVATION)
-        self._columns = [_KnownColumn(marks == mark, values) for mark, values in columns]
+        columns = enumerate((agents.rewards, agents.group_rewards, *agents.observations), REWARD)
+        self._columns = [_KnownColumn(marks == mark, mark < FIRST_OBSERVATION, values) for mark, values in columns]
 
     def read(self, data: bytes, start: int) -> Agents | None:
         """The agents in as many bytes from ``start`` on; None if something else differs."""
@@ -39,23 +38,51 @@ class KnownRows:
         ids, groups = self._ids.copy(), self._groups.copy()
         return Agents(ids, rewards, done, interrupted, tuple(observations), groups, group_rewards, masks)
 
+    def write(self, agents: Agents) -> bytes | None:
+        """The rows' bytes; None if these agents differ in something else."""
+        if agents.masks or np.count_nonzero(agents.done) or np.count_nonzero(agents.interrupted):
+            return None
+        if agents.ids.tobytes() != self._ids.tobytes() or agents.group_ids.tobytes() != self._groups.tobytes():
+            return None
+        data = bytearray(self._constants)
+        columns = (agents.rewards, agents.group_rewards, *agents.observations)
+        written = [column.write(data, values) for column, values in zip(self._columns, columns, strict=True)]
+        return bytes(data) if all(written) else None
+
 
 class _KnownColumn:
     """Where a column's values are among the rows' bytes, for those rows that have one."""
 
-    def __init__(self, marked: NDArray[np.bool_], values: NDArray[np.float32]) -> None:
+    def __init__(self, marked: NDArray[np.bool_], optional: bool, values: NDArray[np.float32]) -> None:
         self._starts = marked.nonzero()[0]
         self._shape = values.shape
-        # A row without a reward's field has 0, by the bits.
+        self._optional = optional  # rows without the field have 0, by the bits
         self._present = None if len(self._starts) == len(values) else values.view(np.int32) != 0
         self._bytes = values[:1].nbytes
         self._window = np.dtype(f"V{self._bytes}")
 
+    def _windows(self, data: bytes | bytearray, start: int, length: int) -> NDArray[np.void]:
+        return np.ndarray((length - self._bytes + 1,), self._window, data, start, (1,))
+
+    def write(self, data: bytearray, values: NDArray[np.float32]) -> bool:
+        """Returns whether the same rows have the field."""
+        if self._optional:
+            bits = values.view(np.int32)
+            if np.count_nonzero(bits) != len(self._starts):
+                return False
+            if self._present is not None:
+                if not np.array_equal(bits != 0, self._present):
+                    return False
+                values = values[self._present]
+        if len(self._starts):
+            contiguous = np.ascontiguousarray(values).reshape(-1)
+            self._windows(data, 0, len(data))[self._starts] = contiguous.view(self._window)
+        return True
+
     def read(self, data: bytes, start: int, length: int) -> NDArray[np.float32]:
         if not len(self._starts):
             return np.zeros(self._shape, np.float32)
-        windows: NDArray[np.void] = np.ndarray((length - self._bytes + 1,), self._window, data, start, (1,))
-        found = windows[self._starts].view(np.float32)
+        found = self._windows(data, start, length)[self._starts].view(np.float32)
         if self._present is None:
             return found.reshape(self._shape)
         values = np.zeros(self._shape, np.float32)
