@@ -1,5 +1,6 @@
 """Columns mean what protobuf means: they write its bytes, and read nothing that it would read otherwise."""
 
+import dataclasses
 import sys
 from collections import Counter
 from pathlib import Path
@@ -79,6 +80,35 @@ def test_long_runs_and_their_ends_are_read(count):
     read = columnar.read_output(message_of({BEHAVIOR: agents}), ROWS)
     assert read is not None
     assert same(read[0][BEHAVIOR], agents)
+
+
+@pytest.mark.parametrize("behavior", ["Corridor?team=0", "Soccer?team=1"])
+@pytest.mark.parametrize("seed", range(10))
+def test_messages_in_lockstep_are_as_right_as_the_first_whatever_changes_between_them(behavior, seed):
+    """The same agents again and again, then others, other fields, an end, and the same as before."""
+    rng = np.random.default_rng(seed)
+    count, rows = 20, AgentRows(*KINDS[behavior])
+    agents = random_agents(rng, behavior, count)
+    agents = dataclasses.replace(
+        agents, masks=(), done=np.zeros(count, np.bool_), interrupted=np.zeros(count, np.bool_)
+    )
+    for number in range(60):
+        for values in (agents.rewards, agents.group_rewards, *agents.observations):
+            values[values.view(np.int32) != 0] = rng.normal()
+        sent = agents
+        if number % 5 == 4:
+            column = ("ids", "rewards", "group_ids", "group_rewards", "done", "masks")[rng.integers(6)]
+            other = random_agents(rng, behavior, count)
+            sent = dataclasses.replace(agents, **{column: getattr(other, column)})
+        if number % 20 == 19:
+            agents = dataclasses.replace(sent, masks=(), done=agents.done)
+        data = columnar.write_output(behavior, rows, sent, b"")
+        assert data == message_of({behavior: sent})
+        read = columnar.read_output(data, {behavior: rows})
+        assert read is not None
+        assert same(read[0][behavior], sent)
+        for values in (read[0][behavior].ids, read[0][behavior].rewards, *read[0][behavior].observations):
+            values[:] = 7  # what was read is the reader's own
 
 
 def test_numbers_written_at_more_length_than_needed_are_read_as_protobuf_reads_them():

@@ -142,8 +142,10 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
                 self._rows = mlagents_steps.rows_of(self.behavior_specs)
         else:
             for name, spec in self._env_specs.items():
-                none = DecisionSteps.empty(spec), TerminalSteps.empty(spec)
-                self._env_state[name] = mlagents_steps.steps(read[0][name], spec) if name in read[0] else none
+                if name in read[0]:
+                    self._env_state[name] = mlagents_steps.steps(read[0][name], spec)
+                else:
+                    self._env_state[name] = DecisionSteps.empty(spec), TerminalSteps.empty(spec)
             self._side_channel_manager.process_side_channel_message(read[1])
         self._env_actions.clear()
         self.exchange_seconds += time.perf_counter() - began

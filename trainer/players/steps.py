@@ -89,10 +89,8 @@ def check_ids(found: Steps) -> None:
     """
     for part, does in zip(found, ("asks for a decision", "ends"), strict=True):
         ids: NDArray[np.int32] = part.agent_id
-        if np.count_nonzero(ids[1:] > ids[:-1]) >= len(ids) - 1:  # in order, as players send them
-            continue
-        each, counts = np.unique(ids, return_counts=True)
-        if (counts > 1).any():
+        if len(set(ids.tolist())) < len(ids):
+            each, counts = np.unique(ids, return_counts=True)
             twice, count = int(each[counts > 1][0]), int(counts[counts > 1][0])
             raise UnityObservationException(
                 f"The player sent agent {twice} {count} times in one message where it {does}, but once was expected; "
