@@ -5,7 +5,6 @@ there, and by how many bytes an id has. But they have few such layouts, mostly i
 structured array. Whatever doesn't look so, from whichever peer, is left to the protobuf parser.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,12 +14,10 @@ from corridor_server.protocol.agent_columns import AgentColumns
 from corridor_server.protocol.agent_layout import AgentLayouts, AgentRow, Sensor
 from corridor_server.protocol.agent_writer import AgentWriter
 from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.known_rows import KnownRows
 from corridor_server.protocol.varints import number_in, varint_size
 
 _SHORT_RUN = 6  # rows that are quicker read one by one
 _SMALLEST = 4  # bytes of a row that has an observation, and more
-_KNOWN = 16  # lengths of messages whose common parts are kept
 _LOOK_AHEAD = 1024  # rows at a time in which a reader looks for more of one length
 
 
@@ -36,8 +33,6 @@ class AgentRows:
         self._layouts = AgentLayouts(sensors, branches)
         self._writer = AgentWriter(self._layouts)
         self._last_read: dict[int, AgentRow] = {}
-        self._known: dict[int, KnownRows] = {}
-        self._last_length = 0
 
     def write(self, agents: Agents) -> bytes:
         """The rows' bytes.
@@ -49,27 +44,6 @@ class AgentRows:
 
     def read(self, data: bytes, start: int, end: int) -> Agents | None:
         """The agents whose rows lie from start to end; None if they are not of this form."""
-        length = end - start
-        known = self._known.get(length)
-        agents = None if known is None else known.read(data, start)
-        if agents is None:
-            agents = self._read_any(data, start, end)
-            if agents is not None and 0 < length == self._last_length:
-                self._know(data[start:end], agents)
-        self._last_length = length
-        return agents
-
-    def _know(self, rows: bytes, agents: Agents) -> None:
-        """Takes up what such messages have in common: where one is as long as the one before, more will be."""
-        unmasked = dataclasses.replace(agents, masks=())
-        varying = (agents.done, agents.interrupted, *agents.masks)
-        if any(np.count_nonzero(flags) for flags in varying) or self._writer.write(unmasked) != rows:
-            return
-        if len(self._known) == _KNOWN:
-            self._known.clear()
-        self._known[len(rows)] = KnownRows(rows, agents, self._writer.marks(unmasked))
-
-    def _read_any(self, data: bytes, start: int, end: int) -> Agents | None:
         pieces = _pieces(data, start, end)
         if pieces is None:
             return None

@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from corridor_server.protocol.agent_layout import AgentLayouts, Layout
 from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.known_rows import FIRST_OBSERVATION, GROUP_REWARD, REWARD, VARYING, KnownRows
 from corridor_server.protocol.row_template import FIELD_1, RowTemplate, example
 from corridor_server.protocol.varints import LONGEST, byte_counts
 from corridor_server.protocol.wire_bytes import varint
@@ -30,16 +29,6 @@ class AgentWriter:
         self._constants = np.empty((0, self._whole.size), np.uint8)
         self._present = np.empty((0, self._whole.size), np.bool_)
         self._index = np.full(_KEYS, -1, np.intp)
-        self._last = b""  # ids and layouts that were written last
-        self._known: KnownRows | None = None
-        self._marks = np.zeros(self._whole.size, np.uint8)
-        columns = [("reward", REWARD), ("group_reward", GROUP_REWARD)]
-        columns += [(name, mark) for mark, name in enumerate(layouts.shapes, FIRST_OBSERVATION)]
-        for name, mark in columns:
-            column = np.zeros(1, self._whole.dtype)
-            column[name].view(np.uint8)[...] = VARYING
-            self._marks |= column.view(np.uint8)
-            self._marks[int(column.view(np.uint8).argmax())] = mark
 
     def write(self, agents: Agents) -> bytes:
         """The rows' bytes.
@@ -49,22 +38,10 @@ class AgentWriter:
         """
         if not len(agents):
             return b""
-        data = None if self._known is None else self._known.write(agents)
-        if data is None:
-            index = self._indices(agents)
-            raw = self._constants[index]
-            self._fill(raw.reshape(-1).view(self._whole.dtype), agents)
-            data = raw[self._present[index]].tobytes()
-            layouts = agents.ids.tobytes() + index.tobytes()
-            if layouts == self._last and not np.count_nonzero(agents.done) and not agents.masks:
-                self._known = KnownRows(data, agents, self.marks(agents))
-            self._last = layouts
-        return data
-
-    def marks(self, agents: Agents) -> NDArray[np.uint8]:
-        """Which of the bytes that ``write`` gives are values: see ``KnownRows``."""
-        present = self._present[self._indices(agents)]
-        return np.broadcast_to(self._marks, present.shape)[present]
+        index = self._indices(agents)
+        raw = self._constants[index]
+        self._fill(raw.reshape(-1).view(self._whole.dtype), agents)
+        return raw[self._present[index]].tobytes()
 
     def _indices(self, agents: Agents) -> NDArray[np.intp]:
         """Of the agents' layouts."""
