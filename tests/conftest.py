@@ -6,6 +6,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,20 @@ def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., obje
     for environment in opened:
         if environment.is_open:
             environment.close()
+
+
+@pytest.fixture
+def page_server(tmp_path: Path) -> Iterator[Any]:
+    """The page's server on the runs of an empty results folder."""
+    from trainer.viewer.page_server import PageServer
+
+    server = PageServer(tmp_path / "results", 0, seed=0)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield server
+    server.shutdown()
+    server.server_close()
+    thread.join()
 
 
 @pytest.fixture(scope="module")  # its event loop must not be there for other modules

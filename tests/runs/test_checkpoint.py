@@ -1,6 +1,7 @@
 """Checkpoint files: whole or refused, with the last good one named; no code in them, and no bad numbers."""
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -163,11 +164,12 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_files(tmp_path):
     for attempt in range(5):
         folder = tmp_path / str(attempt)
         command = [sys.executable, "-c", KILLED, str(folder)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parent) as process:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
             assert process.stdout is not None
-            process.stdout.readline()
+            assert process.stdout.readline() == b"ready\n"
             while not folder.is_dir() or len(list(folder.glob("*.safetensors"))) < 2:
-                pass
+                assert process.poll() is None
             process.kill()
         for path in folder.glob("*.safetensors"):
             from_bytes(path.read_bytes())

@@ -1,8 +1,5 @@
 """Driving the learner by hand in the page, with keys and with touch, in headless Chromium."""
 
-import threading
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,17 +8,6 @@ from conftest import Open
 from page_in_browser import MINUS, PHONE, compare, until
 
 from trainer.viewer.page_server import PageServer
-
-
-@pytest.fixture
-def served(tmp_path: Path) -> Iterator[PageServer]:
-    server = PageServer(tmp_path / "results", 0, seed=0)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    yield server
-    server.shutdown()
-    server.server_close()
-    thread.join()
 
 
 def wanted(opened: Any) -> tuple[str | None, float, float]:
@@ -44,8 +30,8 @@ def wanted(opened: Any) -> tuple[str | None, float, float]:
     return outcome, to[0] - x - 0.5 * vx, to[1] - z - 0.5 * vz
 
 
-def open_drive(open_page: Open, served: PageServer, **options: Any) -> Any:
-    opened = open_page(served.address, **options)
+def open_drive(open_page: Open, page_server: PageServer, **options: Any) -> Any:
+    opened = open_page(page_server.address, **options)
     opened.click("[data-tab=drive]")
     until(opened, "document.querySelector('#drive-result').innerText.includes('first move')")
     return opened
@@ -61,8 +47,8 @@ def reached(opened: Any) -> None:
     assert sums[-1] == pytest.approx(sum(sums[:-1]), abs=0.003)
 
 
-def test_keys_drive_the_learner_to_the_target(open_page, served):
-    opened = open_drive(open_page, served)
+def test_keys_drive_the_learner_to_the_target(open_page, page_server):
+    opened = open_drive(open_page, page_server)
     down: set[str] = set()
     for _ in range(2000):
         outcome, x, z = wanted(opened)
@@ -84,8 +70,8 @@ def test_keys_drive_the_learner_to_the_target(open_page, served):
     until(opened, "corridor.stage.track.rows === 1")
 
 
-def test_touch_drives_the_learner_to_the_target(open_page, served):
-    opened = open_drive(open_page, served, viewport=PHONE, has_touch=True, is_mobile=True)
+def test_touch_drives_the_learner_to_the_target(open_page, page_server):
+    opened = open_drive(open_page, page_server, viewport=PHONE, has_touch=True, is_mobile=True)
     opened.locator("#joystick").scroll_into_view_if_needed()
     box = opened.locator("#joystick").bounding_box()
     centre, reach = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2), box["width"] / 2 - 20

@@ -7,10 +7,7 @@ import shutil
 import signal
 import socket
 import subprocess
-import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,20 +21,9 @@ from trainer.viewer.page_server import BODY_LIMIT, Drives, PageServer
 from trainer.viewer.watched_runs import QUIET_SECONDS
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[PageServer]:
-    server = PageServer(tmp_path / "results", 0, seed=0)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    yield server
-    server.shutdown()
-    server.server_close()
-    thread.join()
-
-
-def ask(server: PageServer, path: str, body: object = None, **headers: str | None) -> tuple[int, dict]:
-    sent = {"X-Corridor-Token": server.token, **{name.replace("_", "-"): text for name, text in headers.items()}}
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+def ask(page_server: PageServer, path: str, body: object = None, **headers: str | None) -> tuple[int, dict]:
+    sent = {"X-Corridor-Token": page_server.token, **{name.replace("_", "-"): text for name, text in headers.items()}}
+    connection = http.client.HTTPConnection("127.0.0.1", page_server.server_port, timeout=30)
     try:
         data = body if isinstance(body, str | None) else json.dumps(body)
         method = "GET" if body is None else "POST"
@@ -49,13 +35,13 @@ def ask(server: PageServer, path: str, body: object = None, **headers: str | Non
         connection.close()
 
 
-def runs(server: PageServer) -> dict[str, dict]:
-    return {run["name"]: run for run in ask(server, "/api/runs")[1]["runs"]}
+def runs(page_server: PageServer) -> dict[str, dict]:
+    return {run["name"]: run for run in ask(page_server, "/api/runs")[1]["runs"]}
 
 
-def wait_for_scene(server: PageServer, name: str) -> dict:
+def wait_for_scene(page_server: PageServer, name: str) -> dict:
     for _ in range(600):
-        status, answer = ask(server, f"/api/scene?run={name}")
+        status, answer = ask(page_server, f"/api/scene?run={name}")
         assert status == 200, answer
         if answer["scene"]:
             return answer["scene"]
@@ -64,11 +50,11 @@ def wait_for_scene(server: PageServer, name: str) -> dict:
     raise AssertionError("no scene came")
 
 
-def test_the_page_comes_with_the_token_only(server):
-    assert ask(server, f"/?token={server.token}")[1]["page"].startswith("<!doctype html>")
-    assert ask(server, server.address.partition(str(server.server_port))[2])[0] == 200
-    for path in ("/", "/?token=", f"/?token={server.token[:-1]}", "/?token=%C3%A9"):
-        assert ask(server, path)[0] == 403
+def test_the_page_comes_with_the_token_only(page_server):
+    assert ask(page_server, f"/?token={page_server.token}")[1]["page"].startswith("<!doctype html>")
+    assert ask(page_server, page_server.address.partition(str(page_server.server_port))[2])[0] == 200
+    for path in ("/", "/?token=", f"/?token={page_server.token[:-1]}", "/?token=%C3%A9"):
+        assert ask(page_server, path)[0] == 403
 
 
 @pytest.mark.parametrize(
@@ -83,15 +69,15 @@ def test_the_page_comes_with_the_token_only(server):
         {"Origin": "null"},
     ],
 )
-def test_only_its_own_page_on_loopback_is_answered(server, headers):
+def test_only_its_own_page_on_loopback_is_answered(page_server, headers):
     for path, body in (("/api/runs", None), ("/api/scene?run=x", None), ("/api/drive/new", {})):
-        status, answer = ask(server, path, body, **headers)
+        status, answer = ask(page_server, path, body, **headers)
         assert status == 403
         assert list(answer) == ["error"]
-    assert server.server_address[0] == "127.0.0.1"
+    assert page_server.server_address[0] == "127.0.0.1"
 
 
-def test_there_are_no_files(server, tmp_path):
+def test_there_are_no_files(page_server, tmp_path):
     run = recorded_run(tmp_path / "results")
     (tmp_path / "secret").write_text("secret")
     for path in (
@@ -101,26 +87,26 @@ def test_there_are_no_files(server, tmp_path):
         "/api/../../secret",
         str(run.summary),
     ):
-        assert ask(server, path) == (404, {"error": "There is nothing here."})
+        assert ask(page_server, path) == (404, {"error": "There is nothing here."})
     for name in ("..", "../results/fast", "fast/../fast", str(run.path), "", "%2e%2e"):
-        status, answer = ask(server, f"/api/scene?run={name}")
+        status, answer = ask(page_server, f"/api/scene?run={name}")
         assert (status, "is gone" in answer["error"]) == (400, True)
 
 
-def test_a_body_that_is_no_action_is_refused(server):
-    session = ask(server, "/api/drive/new", {})[1]["session"]
+def test_a_body_that_is_no_action_is_refused(page_server):
+    session = ask(page_server, "/api/drive/new", {})[1]["session"]
     for body in ("", "[]", "{", "[" * 2000, '{"a": "' + "x" * BODY_LIMIT + '"}'):
-        assert ask(server, "/api/drive/step", body)[0] == 400
+        assert ask(page_server, "/api/drive/step", body)[0] == 400
     for action in (None, [], [1], [1, 2, 3], ["a", "b"], [[1, 2], [3, 4]], [1e999, 0], "left", {"x": 1}):
-        status, answer = ask(server, "/api/drive/step", {"session": session, "action": action})
+        status, answer = ask(page_server, "/api/drive/step", {"session": session, "action": action})
         assert status == 400, action
         assert "expected" in answer["error"]
-    assert ask(server, "/api/drive/step", {"session": "x", "action": [0, 0]})[0] == 400
-    assert ask(server, "/api/drive/step", {"session": session, "action": [0, 0]})[0] == 200
+    assert ask(page_server, "/api/drive/step", {"session": "x", "action": [0, 0]})[0] == 400
+    assert ask(page_server, "/api/drive/step", {"session": session, "action": [0, 0]})[0] == 200
 
 
-def test_driving_is_the_in_process_world(server):
-    begun = ask(server, "/api/drive/new", {})[1]
+def test_driving_is_the_in_process_world(page_server):
+    begun = ask(page_server, "/api/drive/new", {})[1]
     env = CorridorEnv()
     observation, _ = env.reset(seed=int(np.random.default_rng(0).integers(2**31)))
     rng = np.random.default_rng(5)
@@ -131,14 +117,14 @@ def test_driving_is_the_in_process_world(server):
         assert [values["p_x"], values["p_z"], values["switch"]] == observation[[0, 1, 7]].astype(float).tolist()
         assert [values["op0_x"], values["op0_z"], values["op0_d"]] == observation[8:11].astype(float).tolist()
         action = rng.uniform(-1.5, 1.5, 2).astype(np.float32)
-        row = ask(server, "/api/drive/step", {"session": begun["session"], "action": action.tolist()})[1]
+        row = ask(page_server, "/api/drive/step", {"session": begun["session"], "action": action.tolist()})[1]
         observation, reward, terminated, _, _ = env.step(np.clip(action, -1, 1))
         assert row["values"]["reward"] == reward
         assert (row["outcome"] is not None) == terminated
         total, steps = total + reward, steps + 1
     assert row["outcome"] == "failed"
     assert total <= -2 + 1e-6
-    status, answer = ask(server, "/api/drive/step", {"session": begun["session"], "action": [0, 0]})
+    status, answer = ask(page_server, "/api/drive/step", {"session": begun["session"], "action": [0, 0]})
     assert (status, answer["error"]) == (400, "This drive is over; begin a new episode.")
 
 
@@ -150,20 +136,20 @@ def test_forgotten_drives_are_bounded():
     assert drives.step(sessions[-1], [0, 0])["outcome"] is None
 
 
-def test_a_run_is_shown_from_its_first_file_to_its_deletion(server, tmp_path):
-    assert ask(server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+def test_a_run_is_shown_from_its_first_file_to_its_deletion(page_server, tmp_path):
+    assert ask(page_server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
     run = recorded_run(tmp_path / "results", evaluated=False)
     run.progress.unlink()
-    assert runs(server)["fast"]["status"] == "starting"
-    assert runs(server)["fast"]["problem"] == "No progress yet."
+    assert runs(page_server)["fast"]["status"] == "starting"
+    assert runs(page_server)["fast"]["problem"] == "No progress yet."
 
     lines = (GOLDEN / "progress.csv").read_text().splitlines(keepends=True)
     run.progress.write_text("".join(lines[:3]) + lines[3][:20])  # a row that is being written
-    answer = ask(server, "/api/runs?run=fast")[1]
+    answer = ask(page_server, "/api/runs?run=fast")[1]
     assert answer["runs"][0]["status"] == "training"
     assert len(answer["curves"]["fast"]["env_steps"]) == 2
     run.progress.write_text("".join(lines))
-    answer = ask(server, "/api/runs?run=fast&run=nobody")[1]
+    answer = ask(page_server, "/api/runs?run=fast&run=nobody")[1]
     curves = answer["curves"]["fast"]
     assert len(curves["env_steps"]) == len(lines) - 1
     assert curves["mean_return"][-1] == float(lines[-1].split(",")[2])
@@ -171,49 +157,49 @@ def test_a_run_is_shown_from_its_first_file_to_its_deletion(server, tmp_path):
     assert answer["runs"][0]["success_rate"] > 0.9
 
     os.utime(run.progress, (time.time() - QUIET_SECONDS - 60,) * 2)
-    assert runs(server)["fast"]["status"] == "no news for 3 min"
+    assert runs(page_server)["fast"]["status"] == "no news for 3 min"
     run.write_summary({"evaluation": None})
-    assert runs(server)["fast"]["status"] == "stopped"
+    assert runs(page_server)["fast"]["status"] == "stopped"
     run.write_summary({"evaluation": {"episodes": 12}})
-    assert runs(server)["fast"]["status"] == "finished"
+    assert runs(page_server)["fast"]["status"] == "finished"
 
     shutil.copy(GOLDEN / "trajectories.npz", run.trajectories)
-    scene = ask(server, "/api/scene?run=fast")[1]["scene"]
+    scene = ask(page_server, "/api/scene?run=fast")[1]["scene"]
     assert len(scene["episodes"]) == 12
-    stamp = runs(server)["fast"]["scene"]
+    stamp = runs(page_server)["fast"]["scene"]
     os.utime(run.trajectories)
-    assert runs(server)["fast"]["scene"] != stamp  # evaluated again: the page asks for the new one
+    assert runs(page_server)["fast"]["scene"] != stamp  # evaluated again: the page asks for the new one
 
     shutil.rmtree(run.path)
-    assert ask(server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
-    assert ask(server, "/api/scene?run=fast")[0] == 400
+    assert ask(page_server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+    assert ask(page_server, "/api/scene?run=fast")[0] == 400
     recorded_run(tmp_path / "results")  # and again, as --force does it
-    assert len(ask(server, "/api/scene?run=fast")[1]["scene"]["episodes"]) == 12
+    assert len(ask(page_server, "/api/scene?run=fast")[1]["scene"]["episodes"]) == 12
 
 
-def test_broken_files_are_said_to_be_broken_and_the_rest_is_shown(server, tmp_path):
+def test_broken_files_are_said_to_be_broken_and_the_rest_is_shown(page_server, tmp_path):
     recorded_run(tmp_path / "results", "good")
     broken = recorded_run(tmp_path / "results", "broken")
     broken.configuration.write_text("{{{")
     broken.progress.write_bytes(b"\xff\x00env_steps\n,,,\n1,2\n")
     broken.summary.write_text("[")
-    answer = runs(server)
+    answer = runs(page_server)
     assert answer["good"]["problem"] is None
     assert "not a run's configuration" in answer["broken"]["problem"]
-    assert "not a run's configuration" in ask(server, "/api/scene?run=broken")[1]["error"]
+    assert "not a run's configuration" in ask(page_server, "/api/scene?run=broken")[1]["error"]
     torn = recorded_run(tmp_path / "results", "torn")
     torn.trajectories.write_bytes(b"PK")
-    status, error = ask(server, "/api/scene?run=torn")
+    status, error = ask(page_server, "/api/scene?run=torn")
     assert (status, "is broken" in error["error"]) == (400, True)
 
 
-def test_a_foreign_players_run_says_when_there_will_be_episodes(server, tmp_path):
+def test_a_foreign_players_run_says_when_there_will_be_episodes(page_server, tmp_path):
     recorded_run(tmp_path / "results", "unity", env="editor", evaluated=False)
-    assert "not the built-in one" in runs(server)["unity"]["problem"]
-    assert ask(server, "/api/scene?run=unity")[1]["scene"] is None
+    assert "not the built-in one" in runs(page_server)["unity"]["problem"]
+    assert ask(page_server, "/api/scene?run=unity")[1]["scene"] is None
 
 
-def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
+def test_the_newest_checkpoint_of_a_training_run_is_played(page_server, tmp_path):
     results = tmp_path / "results"
     command = [BIN / "corridor", "train", "--run-id", "r", "--results-dir", results, "--base-port", "5755"]
     done = subprocess.run([*command, "--steps", "2000", "--num-areas", "16", "--eval-episodes", "16"])
@@ -222,8 +208,8 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
     recorded = load_trajectories(results / "r" / "trajectories.npz")
     [checkpoint] = (results / "r" / "checkpoints").glob("step-*.safetensors")
     os.utime(checkpoint)  # newer than the evaluation, as while the run goes on
-    assert runs(server)["r"]["scene"] == checkpoint.stem
-    scene = wait_for_scene(server, "r")
+    assert runs(page_server)["r"]["scene"] == checkpoint.stem
+    scene = wait_for_scene(page_server, "r")
     assert scene["env_steps"] == recorded.env_steps
     assert scene["notes"] == []  # equal to the in-process world bit for bit
     assert [record["goal"] for record in scene["episodes"]] == [
@@ -236,7 +222,7 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(server, tmp_path):
     checkpoint.write_bytes(b"torn")
     checkpoint.rename(checkpoint.with_name("step-0000009999.safetensors"))
     for _ in range(100):
-        status, answer = ask(server, "/api/scene?run=r")
+        status, answer = ask(page_server, "/api/scene?run=r")
         if status != 200:
             break
         time.sleep(0.1)
