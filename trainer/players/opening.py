@@ -26,7 +26,7 @@ from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
-from trainer.signals import uninterrupted
+from trainer.signals import deferred
 
 
 def open_environment(
@@ -151,7 +151,7 @@ def open_players(
     except UnityGymException as error:
         raise TrainerError(str(error)) from error
     finally:
-        with uninterrupted():
+        with deferred():
             players.close()
 
 
