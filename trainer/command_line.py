@@ -36,8 +36,8 @@ Command = (
 
 def run_command(arguments: list[str]) -> int:
     """Runs a command; returns the process's exit code."""
-    env_args = []
-    if ENV_ARGS in arguments:  # what follows is the player's, dashes and all, as with mlagents-learn
+    env_args, given = [], ENV_ARGS in arguments
+    if given:  # what follows is the player's, dashes and all, as with mlagents-learn
         at = arguments.index(ENV_ARGS)
         arguments, env_args = arguments[:at], arguments[at + 1 :]
     console = Console(stderr=True)
@@ -45,8 +45,13 @@ def run_command(arguments: list[str]) -> int:
         command = tyro.cli(
             Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
         )
-        if env_args and isinstance(command, Train):
+        if isinstance(command, Train):
             command = dataclasses.replace(command, env_args=tuple(env_args))
+        elif given:
+            raise TrainerError(
+                f"{ENV_ARGS} is for corridor train, and a run keeps what it was trained with; leave it out, with all "
+                "that follows it."
+            )
         return command.run(shlex.join(["corridor", *arguments]))
     except TrainerError as error:
         console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
