@@ -1,8 +1,9 @@
 """The ``corridor`` command's first lines: nothing that takes long is imported before they can answer a signal."""
 
+import os
 import sys
+import warnings
 from collections.abc import Sequence
-from contextlib import nullcontext
 
 from trainer.signals import ended_by_signals
 
@@ -13,8 +14,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Of the command. The process's own if not given: then the process is the command's, signals and all.
     """
-    with ended_by_signals() if arguments is None else nullcontext():
-        return _run(list(sys.argv[1:] if arguments is None else arguments))
+    if arguments is not None:
+        return _run(list(arguments))
+    with ended_by_signals():
+        ignore_environment()
+        return _run(sys.argv[1:])
+
+
+def ignore_environment() -> None:
+    """Keeps out what the environment says to libraries for other programs, and would break this one."""
+    os.environ["MPLBACKEND"] = "agg"  # Jupyter names one that may not be installed; there is no window here
+    if "error" in os.environ.get("PYTHONWARNINGS", ""):  # libraries warn, and nobody here can mend it
+        del os.environ["PYTHONWARNINGS"]
+        warnings.resetwarnings()
+        warnings.simplefilter("ignore")
 
 
 def _run(arguments: list[str]) -> int:
