@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a player; returns the process's exit code: 0 when the trainer ended the session, or itself."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _stop)
+    os.environ.pop("GRPC_POLL_STRATEGY", None)  # gRPC aborts the process for one that it does not know
     try:
         return _run(arguments)
     except Stopped as stopped:

@@ -1,11 +1,10 @@
 """The ``corridor`` command's first lines: nothing that takes long is imported before they can answer a signal."""
 
-import os
 import sys
-import warnings
 from collections.abc import Sequence
 
 from trainer.signals import ended_by_signals
+from trainer.surroundings import ignore_surroundings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,17 +16,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(list(arguments))
     with ended_by_signals():
-        ignore_environment()
+        ignore_surroundings()
         return _run(sys.argv[1:])
-
-
-def ignore_environment() -> None:
-    """Keeps out what the environment says to libraries for other programs, and would break this one."""
-    os.environ["MPLBACKEND"] = "agg"  # Jupyter names one that may not be installed; there is no window here
-    if "error" in os.environ.get("PYTHONWARNINGS", ""):  # libraries warn, and nobody here can mend it
-        del os.environ["PYTHONWARNINGS"]
-        warnings.resetwarnings()
-        warnings.simplefilter("ignore")
 
 
 def _run(arguments: list[str]) -> int:

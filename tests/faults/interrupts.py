@@ -114,6 +114,7 @@ def interrupted(arguments: Sequence[str], interrupt: Interrupt, folder: Path) ->
         text=True,
         env={**os.environ, MARK: mark, "TMPDIR": str(temporary)},
         start_new_session=True,
+        preexec_fn=_as_from_a_terminal,
     )
     with suppress(subprocess.TimeoutExpired):
         process.wait(interrupt.moment)
@@ -145,6 +146,12 @@ def interrupted(arguments: Sequence[str], interrupt: Interrupt, folder: Path) ->
             faults.append("traceback")
         faults += [f"left file {path.name}" for path in temporary.iterdir()]
     return End(kind, seconds, tuple(faults), output)
+
+
+def _as_from_a_terminal() -> None:
+    """Where this runs in the background or under nohup, these are ignored, and would be until the first line."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _kind(process: "subprocess.Popen[str]") -> str:
@@ -201,7 +208,10 @@ def main() -> None:
                     busy = os.getloadavg()[0]
                     said = f"{name}: {interrupt}: {', '.join(found)} ({end.seconds:.2f} s, load {busy:.1f})"
                     print(f"{said}\n{end.output}", flush=True)
-            print(f"{name}: {dict(kinds)}, slowest {slowest:.2f} s; faults: {dict(faults) or 'none'}", flush=True)
+                if (index + 1) % 50 in (0, options.times % 50):
+                    print(
+                        f"{name}: {dict(kinds)}, slowest {slowest:.2f} s; faults: {dict(faults) or 'none'}", flush=True
+                    )
 
 
 if __name__ == "__main__":

@@ -12,11 +12,13 @@ import threading
 from pathlib import Path
 
 from trainer.signals import INTERRUPTED, ended_by_signals
+from trainer.surroundings import ignore_surroundings
 
 
 def main() -> int:
     """Trains and evaluates; returns the process's exit code."""
     with ended_by_signals():
+        ignore_surroundings()
         return _work()
 
 
