@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -25,11 +26,27 @@ class Stopped(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a player; returns the process's exit code: 0 when the trainer ended the session, or itself."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _stop)
+    os.environ.pop("GRPC_POLL_STRATEGY", None)  # gRPC aborts the process for one that it does not know
+    try:
+        return _run(arguments)
+    except Stopped as stopped:
+        logger.info("%s before a trainer was found.", stopped)
+        return 0
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)  # it is ending
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     options, ignored = _parser().parse_known_args(arguments)
     try:
         _start_log(options.log_file)
         if ignored:
             logger.info("Arguments ignored: %s", " ".join(ignored))
+        if options.camera_raw and options.camera is None:
+            raise ValueError("--camera-raw says how a picture is sent, but there is none; give its size with --camera.")
         config = CorridorConfig() if options.config is None else CorridorConfig.from_file(options.config)
         return _play(options, config)
     except (ValueError, OSError, ConnectionFailed, PlayerError) as error:
@@ -38,15 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _play(options: argparse.Namespace, config: CorridorConfig) -> int:
-    signal.signal(signal.SIGTERM, _stop)
-    signal.signal(signal.SIGINT, _stop)
-    try:
-        connection = Connection(
-            options.host, options.mlagents_port, options.timeout_wait, options.timeout_reply, options.parent
-        )
-    except Stopped as stopped:
-        logger.info("%s before a trainer was found.", stopped)
-        return 0
+    connection = Connection(
+        options.host, options.mlagents_port, options.timeout_wait, options.timeout_reply, options.parent
+    )
     player = Player(
         connection,
         config,
@@ -102,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
         description="The paper's corridor as an ML-Agents player. Unknown arguments are ignored, as Unity does.",
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_package_version()}")
     unity = parser.add_argument_group("arguments that a trainer passes to any player")
     unity.add_argument(
         "--mlagents-port", type=int, default=EDITOR_PORT, metavar="N", help="the trainer's port (default: %(default)s)"

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from trainer.corridor import CORRIDOR
+from trainer.corridor import CORRIDOR, DEFAULT_PENALTY
 from trainer.errors import TrainerError
 from trainer.options import Count, Options, Port, Range, Seconds
 
@@ -316,7 +316,7 @@ def preset_run(
     steps: int,
     env: str = "builtin",
     algo: Algorithm = "ppo",
-    penalty: float = 1.0,
+    penalty: float = DEFAULT_PENALTY,
     num_areas: int | None = None,
     intrinsic: Intrinsic = "icm",
     environment_parameters: dict[str, Any] | None = None,

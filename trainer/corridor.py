@@ -25,6 +25,7 @@ WALL_CONTACTS = "Corridor/Wall Contacts"
 
 # The environment parameter that --penalty sets.
 PENALTY = "failure_penalty"
+DEFAULT_PENALTY = 1.0
 # The corridor that presets ask a player for, on which curiosity decides between failure and success
 # (docs/calibration.md).
 CORRIDOR: dict[str, float] = {

@@ -1,63 +1,43 @@
-"""The ``corridor`` command."""
+"""The ``corridor`` command's first lines: nothing that takes long is imported before they can answer a signal."""
 
-import dataclasses
-import shlex
 import sys
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
-from rich.console import Console
-from rich.markup import escape
-from tyro.conf import subcommand
-
-from trainer.commands.bench import Bench
-from trainer.commands.check import Check
-from trainer.commands.evaluate import Evaluate
-from trainer.commands.export import Export
-from trainer.commands.replay import Replay
-from trainer.commands.study import StudyCommand
-from trainer.commands.train import Train
-from trainer.commands.watch import Watch
-from trainer.errors import TrainerError
-from trainer.signals import INTERRUPTED, interrupt_on_stop_signals
-
-ENV_ARGS = "--env-args"
-
-Command = (
-    Annotated[Train, subcommand("train")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[StudyCommand, subcommand("study")]
-    | Annotated[Export, subcommand("export")]
-    | Annotated[Replay, subcommand("replay")]
-    | Annotated[Watch, subcommand("watch")]
-    | Annotated[Check, subcommand("check")]
-    | Annotated[Bench, subcommand("bench")]
-)
+from trainer.signals import ended_by_signals
+from trainer.surroundings import ignore_surroundings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command; returns the process's exit code."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    env_args = []
-    if ENV_ARGS in arguments:  # what follows is the player's, dashes and all, as with mlagents-learn
-        at = arguments.index(ENV_ARGS)
-        arguments, env_args = arguments[:at], arguments[at + 1 :]
-    console = Console(stderr=True)
+    """Runs a command; returns the process's exit code.
+
+    Args:
+        arguments: Of the command. The process's own if not given: then the process is the command's, signals and all.
+    """
+    if arguments is not None:
+        return _run(list(arguments))
+    with ended_by_signals():
+        ignore_surroundings()
+        return _run(sys.argv[1:])
+
+
+def _run(arguments: list[str]) -> int:
+    if arguments == ["--version"]:
+        from importlib.metadata import version
+
+        print(f"corridor {version('curious-corridor')}")
+        return 0
     try:
-        command = tyro.cli(
-            Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+        from trainer.command_line import run_command
+
+        return run_command(arguments)
+    except ModuleNotFoundError as error:
+        if str(error.name).startswith(("trainer", "corridor_server")):
+            raise
+        print(
+            f"error: corridor needs {error.name}, which is not installed; run pip install 'curious-corridor[trainer]'.",
+            file=sys.stderr,
         )
-        if env_args and isinstance(command, Train):
-            command = dataclasses.replace(command, env_args=tuple(env_args))
-        interrupt_on_stop_signals()
-        return command.run(shlex.join(["corridor", *arguments]))
-    except TrainerError as error:
-        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         return 1
-    except KeyboardInterrupt:
-        console.print("Stopped.")
-        return INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -1,30 +1,91 @@
-"""Signals that ask a command to stop, and what they must not cut."""
+"""Signals that ask a command to stop: its one way to an end within two seconds, and what may be finished before."""
 
+import os
 import signal
+import sys
 import threading
+import time
+from _thread import start_new_thread
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+CLEAN_SECONDS = 1.2  # for a clean stop; then it is interrupted
+CLOSING_SECONDS = 0.4  # for what is open to be closed; then the process ends as it is
+SHOW_CURSOR = b"\x1b[?25h"
 
 
-def interrupt_on_stop_signals() -> None:
-    """Makes SIGTERM and SIGHUP do what Ctrl-C does: end the command cleanly, closing its players."""
-    for number in stop_signals():
-        signal.signal(number, _interrupt)
+class _Stop:
+    """How far the one stop of this process has come.
+
+    Attributes:
+        asked: Whether a signal has come.
+        interrupted: Whether ``KeyboardInterrupt`` was raised for it: what comes next ends the process.
+        waits: Whether it waits for what must not be cut.
+        holds: How many such things are under way.
+        listener: Stops cleanly when told to.
+    """
+
+    def __init__(self) -> None:
+        self.asked = self.interrupted = self.waits = False
+        self.holds = 0
+        self.listener: StopSignals | None = None
+
+    def receive(self, number: int, frame: FrameType | None) -> None:
+        """The handler of every stop signal; like all handlers, it runs in the main thread."""
+        if not self.asked:
+            self.asked = True
+            # What fails now fails because of the interrupt; where C code swallows that, the thread insists.
+            sys.unraisablehook = threading.excepthook = _say_nothing
+            with suppress(RuntimeError):
+                start_new_thread(_insist, ())
+            if _is_importing(frame):  # half a module is nothing to go on with, and nothing is open yet
+                _end_process("Stopped.\n")
+        self.waits = self.holds > 0
+        if not self.waits:
+            self.act()
+
+    def act(self) -> None:
+        """Tells the listener, interrupts, or ends the process: whatever was not tried yet."""
+        if self.listener is not None and not self.listener.received:
+            self.listener.received = True
+        elif self.interrupted:
+            _end_process("Stopped.\n")
+        else:
+            self.interrupted = True
+            raise KeyboardInterrupt
 
 
-def stop_signals() -> list[int]:
-    """The signals that ask to stop; without SIGHUP where nohup has it ignored."""
-    hangup = getattr(signal, "SIGHUP", None)
-    return [number for number in STOPPING if number != hangup or signal.getsignal(number) != signal.SIG_IGN]
+_stop = _Stop()
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """The life of a process that a stop signal ends, wherever it is: with 130, no traceback, and none of its processes.
+
+    Whoever is at work hears of it as ``KeyboardInterrupt``, or through ``StopSignals``, and closes what it has open.
+    """
+    for number in STOPPING:
+        if number != getattr(signal, "SIGHUP", None) or signal.getsignal(number) != signal.SIG_IGN:  # nohup's
+            signal.signal(number, _stop.receive)
+    try:
+        yield
+    except BaseException:
+        if _stop.asked:
+            _end_process("Stopped.\n")
+        raise
+    finally:
+        for number in STOPPING:  # nothing is left to be stopped; Python itself may take a moment to end
+            signal.signal(number, signal.SIG_IGN)
+        if _stop.asked:
+            _end_process()
 
 
 class StopSignals:
-    """While it is entered, the first stop signal asks for a clean stop; a second one interrupts at once.
+    """While it is entered, the first stop signal asks for a clean stop; a second one, or a long wait, interrupts.
 
     Attributes:
         received: Whether one has come.
@@ -32,50 +93,72 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.received = False
-        self._former: dict[int, Any] = {}
 
     def __enter__(self) -> "StopSignals":
-        for number in stop_signals():
-            self._former[number] = signal.signal(number, self._receive)
+        _stop.listener = self
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for number, handler in self._former.items():
-            signal.signal(number, handler)
-
-    def _receive(self, number: int, frame: FrameType | None) -> None:
-        if self.received:
-            raise KeyboardInterrupt
-        self.received = True
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Keeps an impatient Ctrl-C from cutting what must be finished: saving, and closing the player."""
-    former = {number: signal.signal(number, signal.SIG_IGN) for number in STOPPING}
-    try:
-        yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
+        _stop.listener = None
 
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Lets a signal wait for what is quickly done: an interrupt in the middle of it would leave it half done."""
+    """Lets a signal wait for what is quickly done and must not be cut: saving, closing a player."""
     if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
         yield
         return
-    received: list[int] = []
-    former = {number: signal.signal(number, lambda each, _: received.append(each)) for number in stop_signals()}
+    _stop.holds += 1
     try:
         yield
     finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
-        if received:
-            signal.raise_signal(received[0])
+        _stop.holds -= 1
+        if _stop.waits and not _stop.holds:
+            _stop.waits = False
+            _stop.act()
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def kill_with_descendants(process_id: int) -> None:
+    """Kills a process and all that it started, and waits a moment for their end."""
+    import psutil  # not before the first signal can be answered
+
+    with suppress(psutil.Error):
+        family = [psutil.Process(process_id)]
+        family += family[0].children(recursive=True)
+        if process_id == os.getpid():
+            del family[0]
+        for each in family:
+            with suppress(psutil.Error):
+                each.kill()
+        psutil.wait_procs(family, timeout=0.2)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _insist() -> None:
+    time.sleep(CLEAN_SECONDS)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(CLOSING_SECONDS)
+    _end_process("Stopped.\n")
+
+
+def _end_process(message: str = "") -> NoReturn:
+    with suppress(Exception):
+        kill_with_descendants(os.getpid())
+    for stream in (1, 2):
+        with suppress(OSError):
+            if os.isatty(stream):  # a display that was cut has hidden the cursor
+                os.write(stream, SHOW_CURSOR)
+    with suppress(OSError):
+        os.write(2, message.encode())
+    os._exit(INTERRUPTED)
+
+
+def _say_nothing(_: Any) -> None:
+    pass

@@ -1,6 +1,7 @@
 """An option says everything about itself in one place: type, default, help and range."""
 
 import math
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -108,6 +109,33 @@ def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, 
     assert main([*command, "--timeout-wait", "0"]) == 1
     said = capsys.readouterr().err.strip()
     assert said == "error: --timeout-wait is 0, but a whole number from 1 up was expected."
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (["evaluate", "r", "--env-args", "--episodes", "3"], "--env-args is for corridor train, and a run keeps"),
+        (["check", "--env-args"], "--env-args is for corridor train, and a run keeps"),
+        (
+            ["train", "--run-id", "r", "--env", "editor", "--env-args", "-x"],
+            "--env-args is for players that are launched",
+        ),
+        (["train", "--run-id", "r", "--graphics"], "--graphics is for builds .* but --env builtin draws nothing"),
+        (["train", "--run-id", "r", "--env", "editor", "--graphics"], "--graphics .* but --env editor is not launched"),
+        (["train", "--run-id", "r", "--time-scale", "20"], "--time-scale is for Unity's engine, but --env builtin has"),
+        (["train", "--run-id", "r", "--c", "0", "--intrinsic", "rnd"], "--intrinsic rnd has no effect with --c 0"),
+        (["train", "--run-id", "r", "--env", "editor", "--base-port", "6000"], "--base-port 6000 .* has port 5004"),
+        (["train", "--run-id", "r", "--env", "localhost:7000", "--base-port", "6000"], "--base-port .* has port 7000"),
+        (["train", "--run-id", "r", "--env", "localhost:7000", "--listen", "::1"], "--listen ::1 has no effect on"),
+        (["replay", "study", "--checkpoint", "step-1"], "--checkpoint step-1 is a run's, but study is a study"),
+    ],
+)
+def test_an_option_that_would_have_no_effect_is_refused(command, says, capsys, tmp_path, monkeypatch):
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "claims.json").touch()
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 1
+    assert re.match(f"error: {says}", capsys.readouterr().err)
 
 
 def test_help_and_refusals_come_at_once():

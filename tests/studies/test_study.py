@@ -183,7 +183,7 @@ def test_a_run_ends_with_the_process_that_started_it(tmp_path):
     while not attempt.steps() and time.monotonic() < deadline:
         time.sleep(0.1)
     assert attempt.steps() > 0
-    attempt.ask_to_stop()
+    attempt._input.close()
     attempt.wait()
     attempt.discard()
     assert not list(tmp_path.iterdir())

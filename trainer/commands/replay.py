@@ -7,6 +7,7 @@ from rich.console import Console
 
 from trainer.commands.shared_options import Episodes, ExistingRun
 from trainer.config import ConnectionOptions, PortOptions
+from trainer.errors import TrainerError
 from trainer.options import Options
 
 
@@ -31,6 +32,10 @@ class Replay(Options):
 
         for study in (self.results.results_dir / self.results.run, Path(self.results.run)):
             if is_study(study):
+                if self.checkpoint is not None:
+                    raise TrainerError(
+                        f"--checkpoint {self.checkpoint} is a run's, but {study} is a study; replay one of its runs."
+                    )
                 write_study_page(study, self.episodes, Console())
                 return 0
         folder = self.results.find()

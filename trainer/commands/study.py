@@ -1,7 +1,6 @@
 """``corridor study``."""
 
 import os
-import signal
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -53,7 +52,6 @@ class StudyOptions(Options):
 
     def run(self, typed: str) -> int:
         """Trains what is missing and reports; the exit code is 1 if a run failed."""
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # stop as for Ctrl-C
         from trainer.studies import conduct, executors, plan
         from trainer.studies.ray_executor import RayExecutor
         from trainer.studies.store import Store

@@ -18,7 +18,7 @@ from trainer.config import (
     RunConfig,
     preset_run,
 )
-from trainer.corridor import check_ranges
+from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
 from trainer.options import Count, Options, Range, Seed
 from trainer.signals import INTERRUPTED
@@ -63,7 +63,7 @@ class Train(Options):
     """What curiosity is paid for: icm, or rnd (random network distillation)."""
     from_sb3: Path | None = None
     """Begin with the policy of this Stable-Baselines3 .zip instead of a random one."""
-    penalty: Annotated[float, Range(0, 1000)] = 1.0
+    penalty: Annotated[float, Range(0, 1000)] = DEFAULT_PENALTY
     """Subtracted from the reward when an episode fails; 0 for the paper's case study B."""
     config: Path | None = None
     """YAML file with engine_settings and environment_parameters, as mlagents-learn's."""
@@ -102,6 +102,8 @@ class Train(Options):
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
         if self.graphics and self.no_graphics:
             raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
+        if self.c == 0 and self.intrinsic != "icm":
+            raise TrainerError(f"--intrinsic {self.intrinsic} has no effect with --c 0, base PPO; leave it out.")
         if self.algo == "ddpg" and self.resume:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
 
@@ -136,12 +138,35 @@ class Train(Options):
             check_ranges(config.environment_parameters)
         return config
 
+    def check_effects(self, launched: bool) -> None:
+        """Refuses options that have no effect on such players.
+
+        Args:
+            launched: Whether the players are launched here.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        ours = self.env == "builtin"
+        if self.env_args and not launched:
+            raise TrainerError(
+                f"--env-args is for players that are launched here, but --env {self.env} is started by somebody else; "
+                "give these arguments there."
+            )
+        if self.graphics and (ours or not launched):
+            why = "draws nothing" if ours else "is not launched here"
+            raise TrainerError(f"--graphics is for builds that are launched here, but --env {self.env} {why}.")
+        if self.engine and ours:
+            name = next(iter(self.engine)).replace("_", "-")
+            raise TrainerError(f"--{name} is for Unity's engine, but --env builtin has none; leave it out.")
+
     def run(self, typed: str) -> int:
         """Trains and evaluates."""
         config = self.run_config()
-        from trainer.players.location import check_launchable
+        from trainer.players.location import can_be_launched, check_launchable
 
         check_launchable(config.env)  # a bad player or file is refused before a folder is made
+        self.check_effects(can_be_launched(config.env))
         if self.from_sb3 is not None and not self.resume:
             from trainer.learning.sb3_zip import read_sb3_policy
 

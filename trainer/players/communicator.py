@@ -21,7 +21,6 @@ from google.protobuf.message import DecodeError
 from mlagents_envs.communicator import Communicator
 from mlagents_envs.exception import (
     UnityCommunicationException,
-    UnityException,
     UnityTimeOutException,
     UnityWorkerInUseException,
 )
@@ -65,7 +64,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         self._pool = _DaemonPool(HANDLERS)
         try:
             self._server: grpc.Server | None = self._serve(worker_id, host, base_port + worker_id)
-        except (UnityException, KeyboardInterrupt):
+        except BaseException:
             self._pool.shutdown()
             raise
 

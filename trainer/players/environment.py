@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
-from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityException, UnityObservationException
+from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityObservationException
 
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
@@ -54,7 +54,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             super().__init__(
                 file_name, worker_id=worker_id, base_port=port - worker_id, no_graphics=not graphics, **options
             )
-        except (UnityException, OSError):
+        except BaseException:  # an interrupt, too: who has not shaken hands can't be told to stop
             if hasattr(self, "_communicator"):
                 self.kill()
             atexit.unregister(self._close)

@@ -13,7 +13,7 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from rich.console import Console
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from trainer.config import ConnectionOptions, RestartLimits, RunConfig
+from trainer.config import BASE_PORT, ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
@@ -26,7 +26,7 @@ from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
-from trainer.signals import uninterrupted
+from trainer.signals import deferred
 
 
 def open_environment(
@@ -141,7 +141,11 @@ def open_players(
         state = PlayerState(states[number] if states is not None and life == lives[number] else None)
         return _open(config, logs, connection, number, player_seed(seed, number, life), state)
 
-    first = place(config.env, connection.base_port)[2]
+    _, host, first = place(config.env, connection.base_port, connection.listen)
+    if connection.base_port != BASE_PORT and first == place(config.env, BASE_PORT)[2]:
+        raise TrainerError(f"--base-port {connection.base_port} has no effect on {config.env}, which has port {first}.")
+    if connection.listen != LOOPBACK and host == place(config.env, first)[1]:
+        raise TrainerError(f"--listen {connection.listen} has no effect on {config.env}, which says where to listen.")
     if first + config.num_envs - 1 > 65535:
         raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
     players = Players(start, lives, limits, logs, can_be_launched(config.env))
@@ -151,7 +155,7 @@ def open_players(
     except UnityGymException as error:
         raise TrainerError(str(error)) from error
     finally:
-        with uninterrupted():
+        with deferred():
             players.close()
 
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
-from trainer.corridor import corridor_of, is_corridor
+from trainer.corridor import DEFAULT_PENALTY, corridor_of, is_corridor
 from trainer.errors import TrainerError
 from trainer.learning.algorithm_state import policy_sha256
 from trainer.learning.sb3_zip import load_sb3_policy
@@ -108,6 +108,11 @@ def _learn(
         lives=so_far.lives,
         states=so_far.states,
     ) as players:
+        if checkpoint is None and config.penalty != DEFAULT_PENALTY and not is_corridor(players.behavior):
+            raise TrainerError(
+                f"--penalty {config.penalty:g} is for a corridor, but behavior {players.behavior} has rewards of its "
+                "own; leave it out."
+            )
         folder.record_players(behavior_record(players.behavior, players.behavior_spec), players.areas)
         if players.areas != config.num_areas:
             _say_who_came(config.num_areas, players.areas)

@@ -29,7 +29,7 @@ from trainer.runs.run_state import (
     restore_trained,
     trained_parts,
 )
-from trainer.signals import StopSignals, uninterrupted
+from trainer.signals import StopSignals, deferred
 
 
 def train(
@@ -94,7 +94,7 @@ def train(
                 )
         finally:
             vars(counters).update(vars(save.saved))
-            with uninterrupted():
+            with deferred():
                 writer.keep()
                 model.logger.close()
     return not signals.received

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Protocol
 
 from trainer.config import RunConfig
+from trainer.signals import kill_with_descendants
 from trainer.studies.store import Store
 
 POLL_SECONDS = 0.2
-STOP_SECONDS = 20.0
 LOG = "run_logs/train.log"
 
 
@@ -116,8 +116,6 @@ class LocalExecutor:
                 time.sleep(POLL_SECONDS if running else 0.0)
         finally:
             for attempt in running:
-                attempt.ask_to_stop()
-            for attempt in running:
                 attempt.discard()
 
 
@@ -185,18 +183,10 @@ class Attempt:
         shutil.rmtree(self._scratch, ignore_errors=True)
         return RunOutcome(config.run_id, error, f"{store.place}/{study}/{config.run_id}/{LOG}")
 
-    def ask_to_stop(self) -> None:
-        """Asks the worker for a clean stop."""
-        self._input.close()
-
     def discard(self) -> None:
-        """Waits for a stopped worker, ends one that does not stop, and removes the scratch folder."""
-        self.ask_to_stop()
-        try:
-            self._process.wait(STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """Ends the worker and its player, whose results nobody wants, and removes the scratch folder."""
+        kill_with_descendants(self._process.pid)
+        self._process.wait()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
 

@@ -11,13 +11,22 @@ import sys
 import threading
 from pathlib import Path
 
-from trainer.config import ConnectionOptions, RunConfig
-from trainer.errors import TrainerError
-from trainer.runs.folder import RunFolder
+from trainer.signals import INTERRUPTED, ended_by_signals
+from trainer.surroundings import ignore_surroundings
 
 
 def main() -> int:
     """Trains and evaluates; returns the process's exit code."""
+    with ended_by_signals():
+        ignore_surroundings()
+        return _work()
+
+
+def _work() -> int:
+    from trainer.config import ConnectionOptions, RunConfig
+    from trainer.errors import TrainerError
+    from trainer.runs.folder import RunFolder
+
     order = json.loads(sys.stdin.readline())
     threading.Thread(target=_stop_at_end_of_input, daemon=True).start()
     config = RunConfig.from_dict(order["config"])
@@ -34,9 +43,7 @@ def main() -> int:
     except TrainerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0 if finished else 130
+    return 0 if finished else INTERRUPTED
 
 
 def _stop_at_end_of_input() -> None:

@@ -4,7 +4,6 @@ import hmac
 import json
 import math
 import secrets
-import signal
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -43,13 +42,10 @@ def watch(results_dir: Path, port: int, console: Console) -> None:
         server = PageServer(results_dir, port)
     except OSError as error:
         raise TrainerError(f"Port {port} can't be opened ({error.strerror}); choose another with --port.") from error
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         console.print(f"Watching {results_dir}: open {server.address}", highlight=False, soft_wrap=True)
         console.print("Ctrl-C ends it; training goes on.")
         server.serve_forever()
-    except KeyboardInterrupt:
-        pass
     finally:
         server.server_close()
 

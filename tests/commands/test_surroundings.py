@@ -1,0 +1,48 @@
+"""What the environment says to other programs breaks no command."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from conftest import BIN, unused_port
+
+PROXY = "http://127.0.0.1:9"  # nobody is there
+HOSTILE = {
+    "MPLBACKEND": "module://matplotlib_inline.backend_inline",  # Jupyter's, which is not installed here
+    "MPLCONFIGDIR": "/proc/none",
+    "MATPLOTLIBRC": "/proc/none",
+    "HOME": "/proc/none",
+    "TMPDIR": "/proc/none",
+    **dict.fromkeys(("http_proxy", "https_proxy", "grpc_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY"), PROXY),
+    "COLUMNS": "0",
+    "LINES": "many",
+    "TERM": "dumb",
+    "FORCE_COLOR": "perhaps",
+    "LANG": "C",
+    "LC_ALL": "C",
+    "PYTHONUTF8": "0",
+    "PYTHONCOERCECLOCALE": "0",
+    "PYTHONIOENCODING": "ascii",
+    "PYTHONWARNINGS": "error",
+    "OMP_NUM_THREADS": "some",
+    "OPENBLAS_NUM_THREADS": "some",
+    "MKL_NUM_THREADS": "some",
+    "TF_CPP_MIN_LOG_LEVEL": "some",
+    "GRPC_POLL_STRATEGY": "some",
+    "GRPC_DNS_RESOLVER": "some",
+}
+
+
+@pytest.mark.slow
+def test_training_and_its_pages_ignore_what_is_said_to_other_programs(tmp_path: Path) -> None:
+    results, small = ("--results-dir", str(tmp_path)), ("--steps", "256", "--num-areas", "8", "--eval-episodes", "2")
+    train = ("train", "--run-id", "r", *results, *small, "--base-port", str(unused_port()))
+    for command in (train, ("replay", "r", *results)):
+        run = subprocess.run(
+            [str(BIN / "corridor"), *command], env={**os.environ, **HOSTILE}, capture_output=True, timeout=300
+        )
+        assert run.returncode == 0, run.stderr
+        assert b"Traceback" not in run.stderr
+    assert {path.name for path in tmp_path.glob("r/*.png")} == {"learning_curve.png", "episode_paths.png"}
+    assert (tmp_path / "r" / "replay.html").is_file()
