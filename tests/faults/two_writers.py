@@ -1,4 +1,4 @@
-"""Two writers of one run folder: train, --resume, --force and evaluate at once, some of them killed or stopped.
+"""Two writers of one run folder: train, --resume, --force and evaluate at once, some of them killed.
 
 python tests/faults/two_writers.py --times 50
 
@@ -32,7 +32,9 @@ from trainer.runs.training import load_trained
 from trainer.runs.trajectories import load_trajectories
 
 COMMANDS = ("train", "resume", "force", "evaluate")
-REFUSALS = r"Another corridor command is writing|exists in|There is no run|begun with other settings|No run|no checkpoint"
+REFUSALS = (
+    r"Another corridor command is writing|exists in|There is no run|begun with other settings|No run|no checkpoint"
+)
 AREAS = 8
 SHORT = ("--num-areas", AREAS, "--steps", 6_000, "--eval-episodes", 4, "--timeout-wait", 120)
 
@@ -46,17 +48,18 @@ class Ended:
     said: str
 
 
-def interleave(results: Path, port: int, generator: random.Random, commands: int = 2) -> list[Ended]:
-    """Two writers with a few commands each, at random moments; how each command ended."""
+def interleave(
+    results: Path, port: int, generator: random.Random, seconds: float = 15.0, commands: int = 2
+) -> list[Ended]:
+    """Two writers with a few commands each, of which about half are killed in the first seconds; how each ended."""
     ended: list[Ended] = []
     plans = [
         [
             (
                 generator.choice(COMMANDS),
                 generator.randrange(2),
-                generator.uniform(0.0, 3.0),
-                generator.choice((None, None, signal.SIGINT, signal.SIGKILL)),
-                generator.uniform(0.0, 15.0),
+                generator.uniform(0.0, 0.2 * seconds),
+                generator.choice((None, generator.uniform(0.0, seconds))),
             )
             for _ in range(commands)
         ]
@@ -64,13 +67,13 @@ def interleave(results: Path, port: int, generator: random.Random, commands: int
     ]
 
     def write(writer: int) -> None:
-        for what, seed, pause, fault, moment in plans[writer]:
+        for what, seed, pause, killed in plans[writer]:
             time.sleep(pause)
             process = _start(results, port + 10 * writer, what, seed)
             try:
-                _, said = process.communicate(timeout=None if fault is None else moment)
+                _, said = process.communicate(timeout=killed)
             except subprocess.TimeoutExpired:
-                process.send_signal(fault)
+                process.kill()
                 _, said = process.communicate()
             ended.append(Ended(what, process.returncode, said))
 
@@ -90,7 +93,7 @@ def check(results: Path, ended: list[Ended]) -> None:
     """
     for each in ended:
         assert "Traceback" not in each.said, each
-        assert each.code in (0, 1, 130, -signal.SIGKILL), each
+        assert each.code in (0, 1, -signal.SIGKILL), each
         assert each.code != 1 or re.search(REFUSALS, each.said), each
     if not any(each.code == -signal.SIGKILL for each in ended):
         assert {path.name for path in results.iterdir()} <= {"mine"}
@@ -147,11 +150,13 @@ def main() -> None:
     options = parser.parse_args()
     generator, began, codes = random.Random(options.seed), time.monotonic(), Counter[tuple[str, int]]()
     with tempfile.TemporaryDirectory() as folder:
+        assert _start(Path(folder), options.base_port, "train", 0).wait() == 0
+        seconds = time.monotonic() - began  # on this machine, today
         for number in range(options.times):
             if number % 5 == 0:  # with a folder that former interleavings left, and without
                 results = Path(folder) / str(number)
                 results.mkdir()
-            ended = interleave(results, options.base_port, generator)
+            ended = interleave(results, options.base_port, generator, seconds)
             check(results, ended)
             codes.update((each.what, each.code) for each in ended)
             print(f"{number + 1}/{options.times}: {[(each.what, each.code) for each in ended]}", flush=True)
