@@ -10,11 +10,13 @@ from scripted import spec
 
 from trainer.config import RestartLimits
 from trainer.players.area_state import PlayerState
+from trainer.players.failures import PlayerLogs
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.slots import Slots
 from trainer.players.vec_env import action_space, observation_space
 
 UNLIMITED = RestartLimits(max_lifetime_restarts=-1, restarts_rate_limit_n=-1)
+NO_LOGS = PlayerLogs(Path("nowhere"))
 BEHAVIOR = spec([(13,)], ActionSpec.create_continuous(2))
 DEAD = UnityCommunicatorStoppedException("gone")
 
@@ -56,7 +58,11 @@ def failing(*failures: list, limits: RestartLimits = UNLIMITED, launched: bool =
     """One player whose lives end with these failures."""
     lives = [list(each) for each in failures]
     return Players(
-        lambda number, restarts: opened(Recorded(failures=lives[restarts])), [0], limits, Path("nowhere"), launched
+        lambda number, restarts: opened(Recorded(failures=lives[restarts])),
+        [0],
+        limits,
+        NO_LOGS,
+        launched,
     )
 
 

@@ -13,13 +13,13 @@ def whole_file(path: Path, *, temporary: str | None = None, durable: bool = True
 
     Args:
         path: The file.
-        temporary: Name beside it for the time being; ``<name>.tmp`` if not given.
+        temporary: Name beside it for the time being; if not given, one that no other process takes.
         durable: Wait until the disk has it, so that a power failure leaves it whole, too.
 
     Raises:
         OSError: It can't be written; nothing is left of the attempt.
     """
-    unfinished = path.with_name(f"{path.name}.tmp" if temporary is None else temporary)
+    unfinished = path.with_name(f".{path.name}~{os.getpid()}" if temporary is None else temporary)
     try:
         with unfinished.open("wb") as file:
             yield file

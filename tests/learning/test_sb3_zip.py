@@ -7,20 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from recorded_run import trained_run
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.commands.shared_options import TrainingOptions
 from trainer.commands.train import Train
-from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.learning.stages import build_stages
 from trainer.main import main
 from trainer.runs.checkpoint import read_checkpoint
-from trainer.runs.folder import RunFolder
-from trainer.runs.run import train_run
 
 
 def saved(path: Path, size: int = 64, **changes: torch.Tensor) -> PPO:
@@ -48,8 +46,7 @@ def test_a_run_begins_with_it_and_says_what_it_does_not_take(tmp_path, free_port
     saved(tmp_path / "model.zip", log_std=torch.full((2,), -5.0))
     one_step = TrainingOptions(steps=1)
     config = Train("r", num_areas=2, training=one_step, from_sb3=tmp_path / "model.zip").run_config()
-    folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
-    assert train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)
+    folder = trained_run(config, tmp_path, free_port)
     assert "only the policy's weights are used" in " ".join(capsys.readouterr().out.split())
     assert folder.read_config() == config
     learned = read_checkpoint(folder.checkpoints).arrays["policy/log_std"]

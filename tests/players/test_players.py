@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mlagents_envs.exception import UnityTimeOutException
-from recorded_slots import UNLIMITED, Recorded, failing, opened
+from recorded_slots import NO_LOGS, UNLIMITED, Recorded, failing, opened
 
 from trainer.commands.shared_options import TrainingOptions
 from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, RestartLimits
 from trainer.errors import TrainerError
+from trainer.players.failures import PlayerLogs
 from trainer.players.opening import open_environment, open_players
 from trainer.players.settings import channels
 from trainer.players.several import Players
@@ -24,7 +25,7 @@ from trainer.seeds import player_seed
 def players_of(path: Path, port: int, count: int, areas: int = 4, limits: RestartLimits = UNLIMITED, wait: int = 30):
     config = Train("r", num_envs=count, num_areas=areas).run_config()
     connection = ConnectionOptions(base_port=port, timeout_wait=wait)
-    return open_players(config, path, connection, seed=5, limits=limits)
+    return open_players(config, PlayerLogs(path), connection, seed=5, limits=limits)
 
 
 def process_of(players: Players, number: int) -> int:
@@ -71,9 +72,7 @@ def test_three_players_are_three_runs_of_one_player_with_seeds_of_their_own(tmp_
 
 def test_every_player_has_its_actions_before_the_first_answer_is_awaited():
     calls: list = []
-    players = Players(
-        lambda number, restarts: opened(Recorded(number, calls)), [0] * 3, UNLIMITED, Path("nowhere"), True
-    )
+    players = Players(lambda number, restarts: opened(Recorded(number, calls)), [0] * 3, UNLIMITED, NO_LOGS, True)
     players.reset()
     calls.clear()
     players.step(np.zeros((6, 2)))
@@ -102,7 +101,7 @@ def test_the_time_spent_with_a_player_that_died_still_counts():
 
 def test_players_of_different_builds_are_refused():
     with pytest.raises(TrainerError, match=r"Player 1 has 3 areas .* but the first had 2 .* the same build"):
-        Players(lambda number, _: opened(Recorded(areas=2 + number)), [0] * 2, UNLIMITED, Path("nowhere"), True)
+        Players(lambda number, _: opened(Recorded(areas=2 + number)), [0] * 2, UNLIMITED, NO_LOGS, True)
 
 
 def test_if_one_of_several_cant_be_opened_the_others_are_closed():
@@ -114,7 +113,7 @@ def test_if_one_of_several_cant_be_opened_the_others_are_closed():
         return opened(Recorded(number, calls))
 
     with pytest.raises(TrainerError, match="no room"):
-        Players(start, [0] * 3, UNLIMITED, Path("nowhere"), True)
+        Players(start, [0] * 3, UNLIMITED, NO_LOGS, True)
     assert [call for call in calls if call[0] == "close"] == [("close", 0), ("close", 2)]
 
 
@@ -170,7 +169,7 @@ def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_port):
 def test_the_gym_path_survives_too(tmp_path, free_port):
     config = Train("r", training=TrainingOptions(preset="paper")).run_config()
     connection = ConnectionOptions(base_port=free_port, timeout_wait=30)
-    with open_players(config, tmp_path, connection, seed=5, limits=UNLIMITED) as players:
+    with open_players(config, PlayerLogs(tmp_path), connection, seed=5, limits=UNLIMITED) as players:
         players.reset()
         players.step(np.zeros((1, 2), np.float32))
         os.kill(process_of(players, 0), signal.SIGKILL)

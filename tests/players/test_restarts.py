@@ -1,13 +1,12 @@
 """How often players that die are started again, and what becomes of the episodes that their deaths cut."""
 
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mlagents_envs.exception import UnityTimeOutException
-from recorded_slots import DEAD, UNLIMITED, Recorded, failing, opened, play
+from recorded_slots import DEAD, NO_LOGS, UNLIMITED, Recorded, failing, opened, play
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 from trainer.config import RestartLimits
@@ -34,7 +33,7 @@ def test_limits_in_a_period():
 
     lives = [[DEAD], [DEAD], [DEAD], []]
     limits = RestartLimits(-1, 1, 0.05)
-    slow = Players(lambda _, restarts: opened(Slow(failures=lives[restarts])), [0], limits, Path("nowhere"), True)
+    slow = Players(lambda _, restarts: opened(Slow(failures=lives[restarts])), [0], limits, NO_LOGS, True)
     play(slow, 6)
     assert slow.restarts == 3
 
@@ -43,7 +42,7 @@ def test_limits_hold_for_each_player_alone():
     lives = {(0, 0): [DEAD], (1, 0): [DEAD]}
     players = Players(
         lambda number, restarts: opened(Recorded(failures=lives.get((number, restarts), []))),
-        [0, 0], RestartLimits(), Path("nowhere"), True,
+        [0, 0], RestartLimits(), NO_LOGS, True,
     )  # fmt: skip
     play(players, 3)
     assert players.restarts == 2
@@ -63,7 +62,7 @@ def starting(attempts: list, launched: bool) -> Players:
             raise TrainerError(str(failure)) from failure
         return opened(Recorded())
 
-    return Players(start, [0], UNLIMITED, Path("nowhere"), launched)
+    return Players(start, [0], UNLIMITED, NO_LOGS, launched)
 
 
 def test_a_player_that_dies_while_it_starts_is_tried_again():

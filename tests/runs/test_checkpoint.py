@@ -179,10 +179,11 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_files(tmp_path):
 def test_a_damaged_checkpoint_ends_the_command_with_the_offer(tmp_path):
     run = tmp_path / "r"
     options = ["--run-id", "r", "--results-dir", str(tmp_path)]
-    from trainer.commands.train import Train
-    from trainer.runs.folder import RunFolder
+    from recorded_run import begun_run
 
-    RunFolder.prepare(Train("r").run_config(), tmp_path, resume=False, force=False)
+    from trainer.commands.train import Train
+
+    begun_run(Train("r").run_config(), tmp_path)
     written(run / "checkpoints", 100, 200)
     (run / "checkpoints" / "step-0000000200.safetensors").write_bytes(b"\0" * 1000)
     done = subprocess.run([str(BIN / "corridor"), "train", *options, "--resume"], capture_output=True, text=True)

@@ -153,18 +153,21 @@ def test_a_results_folder_that_becomes_read_only_ends_the_run_with_a_sentence(un
 
 
 def test_changed_settings_are_listed_with_what_is_allowed(tmp_path):
+    from recorded_run import begun_run
+
     from trainer.commands.shared_options import TrainingOptions
     from trainer.commands.train import Train
     from trainer.errors import TrainerError
     from trainer.runs.folder import RunFolder
 
-    RunFolder.prepare(Train("r").run_config(), tmp_path, resume=False, force=False)
+    begun_run(Train("r").run_config(), tmp_path)
     longer = TrainingOptions(steps=2_000_000)
     changed = Train("r", c=0.5, training=longer).run_config()
-    with pytest.raises(TrainerError) as error:
-        RunFolder.prepare(changed, tmp_path, resume=True, force=False)
+    with pytest.raises(TrainerError) as error, RunFolder.claim(changed, tmp_path, resume=True, force=False):
+        pass
     assert "curiosity.c 0.3 -> 0.5 (not allowed), steps 1500000 -> 2000000 (allowed)" in str(error.value)
-    RunFolder.prepare(Train("r", training=longer).run_config(), tmp_path, resume=True, force=False)
+    with RunFolder.claim(Train("r", training=longer).run_config(), tmp_path, resume=True, force=False):
+        pass
 
 
 @pytest.mark.parametrize("listen", ["localhost", "0.0.0.0"])

@@ -2,18 +2,17 @@
 
 import numpy as np
 import pytest
+from recorded_run import trained_run
 from stable_baselines3.common.env_util import make_vec_env
 
 from trainer.commands.shared_options import TrainingOptions
 from trainer.commands.train import Train
-from trainer.config import ConnectionOptions
 from trainer.errors import TrainerError
 from trainer.learning.lean_ppo import LeanPPO
 from trainer.learning.stages import build_stages
 from trainer.runs.checkpoint import Checkpoint, checkpoints, from_bytes, read_checkpoint, to_bytes
 from trainer.runs.folder import RunFolder
 from trainer.runs.logs import ProgressFile
-from trainer.runs.run import train_run
 from trainer.runs.run_state import restore_trained
 
 
@@ -37,9 +36,9 @@ def test_weights_or_losses_that_go_bad_stop_the_run_and_the_update_before_is_kep
 
     monkeypatch.setattr(LeanPPO, "train", third_time_unlucky)
     config = Train("r", num_areas=8, training=TrainingOptions(steps=4_000)).run_config()
-    folder = RunFolder.prepare(config, tmp_path, resume=False, force=False)
+    folder = RunFolder(tmp_path / "r")
     with pytest.raises(TrainerError, match=f"After the update at step 384: {says}"):
-        train_run(config, folder, ConnectionOptions(base_port=free_port, timeout_wait=120), episodes=1)
+        trained_run(config, tmp_path, free_port)
     assert [path.name for path in checkpoints(folder.checkpoints)] == ["step-0000000256.safetensors"]
     assert read_checkpoint(folder.checkpoints).facts["env_steps"] == 256
 
@@ -83,13 +82,9 @@ def in_format_1(checkpoint: Checkpoint) -> Checkpoint:
 
 
 def test_a_checkpoint_of_the_first_format_goes_on_to_the_bit(tmp_path, free_port, monkeypatch):
-    connection = ConnectionOptions(base_port=free_port, timeout_wait=120)
-
     def train_to(name: str, steps: int, resumed: bool) -> RunFolder:
         config = Train(name, num_areas=8, training=TrainingOptions(steps=steps)).run_config()
-        folder = RunFolder.prepare(config, tmp_path, resume=resumed, force=False)
-        train_run(config, folder, connection, episodes=1, resumed=resumed)
-        return folder
+        return trained_run(config, tmp_path, free_port, resume=resumed)
 
     final = []
     for name in ("today", "before"):

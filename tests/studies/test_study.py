@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 from conftest import BIN
+from recorded_run import begun_run
 from rich.console import Console
 
 from trainer.config import PRESETS
 from trainer.main import main
-from trainer.runs.folder import RunFolder
 from trainer.studies.conduct import run_study
 from trainer.studies.executors import Attempt, LocalExecutor, Task
 from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, STUDIES, Arm, Study
@@ -121,7 +121,7 @@ def test_a_run_with_other_settings_is_not_overwritten(penalty, capsys):
 
 def test_half_a_run_is_not_a_finished_one(tmp_path):
     config, store = BASE.run("fast", 3_000, 0), Store(str(tmp_path))
-    folder = RunFolder.prepare(config, tmp_path / "penalty", resume=False, force=False)
+    folder = begun_run(config, tmp_path / "penalty")
     assert store.find(config, "penalty", 200) is None
     folder.write_summary({"evaluation": None})
     assert store.find(config, "penalty", 200) is None

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from trainer.bench.exchange_rates import OTHERS
 from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, WALL_COLOUR
+from trainer.files import whole_file
 
 
 def print_report(report: dict[str, Any], console: Console) -> None:
@@ -57,4 +58,5 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
     axes.set(xscale="log", yscale="log", xlabel="areas in one player", ylabel="agent steps per second")
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
-    figure.savefig(path, dpi=110)
+    with whole_file(path) as file:
+        figure.savefig(file, dpi=110)

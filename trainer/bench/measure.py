@@ -19,6 +19,7 @@ from trainer.bench.exchange_rates import exchange_rates, world_rate
 from trainer.bench.footprint import memory_megabytes, startup_seconds
 from trainer.bench.training_rates import player_rates, preset_rates
 from trainer.bench.workload import FULL, Workload
+from trainer.files import write_whole
 
 PACKAGES = ("curious-corridor", "mlagents-envs", "grpcio", "protobuf", "numpy", "torch", "stable-baselines3")
 
@@ -60,7 +61,7 @@ def run_bench(
         report["memory_mb"] = memory_megabytes(port, workload)
     print_report(report, console)
     if json_file is not None:
-        json_file.write_text(json.dumps(report, indent=2) + "\n")
+        write_whole(json_file, json.dumps(report, indent=2) + "\n")
     if plot is not None:
         plot_report(report, plot)
 

@@ -24,10 +24,13 @@ class Evaluate(Options):
     def run(self, typed: str) -> int:
         """Evaluates."""
         folder = self.results.find()
-        config = folder.read_config()
-        if self.env is not None:
-            config = dataclasses.replace(config, env=self.env)
-        from trainer.runs.run import evaluate_run
+        from trainer.drafts import only_writer
 
-        evaluate_run(config, folder, self.connection, episodes=self.episodes, checkpoint=self.checkpoint)
+        with only_writer(folder.path) as draft:
+            config = folder.read_config()
+            if self.env is not None:
+                config = dataclasses.replace(config, env=self.env)
+            from trainer.runs.run import evaluate_run
+
+            evaluate_run(config, folder, draft, self.connection, episodes=self.episodes, checkpoint=self.checkpoint)
         return 0

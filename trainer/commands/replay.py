@@ -27,6 +27,7 @@ class Replay(Options):
 
     def run(self, typed: str) -> int:
         """Writes the pages."""
+        from trainer.drafts import only_writer
         from trainer.viewer.replay_files import replay_run
         from trainer.viewer.study_page import is_study, write_study_page
 
@@ -36,14 +37,17 @@ class Replay(Options):
                     raise TrainerError(
                         f"--checkpoint {self.checkpoint} is a run's, but {study} is a study; replay one of its runs."
                     )
-                write_study_page(study, self.episodes, Console())
+                with only_writer(study):
+                    write_study_page(study, self.episodes, Console())
                 return 0
         folder = self.results.find()
-        replay_run(
-            folder.read_config(),
-            folder,
-            ConnectionOptions(**asdict(self.connection)),
-            checkpoint=self.checkpoint,
-            episodes=self.episodes,
-        )
+        with only_writer(folder.path) as draft:
+            replay_run(
+                folder.read_config(),
+                folder,
+                draft,
+                ConnectionOptions(**asdict(self.connection)),
+                checkpoint=self.checkpoint,
+                episodes=self.episodes,
+            )
         return 0

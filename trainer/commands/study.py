@@ -62,18 +62,20 @@ class StudyOptions(Options):
             executor = RayExecutor(self.address)
         else:
             executor = executors.LocalExecutor(self.jobs or os.cpu_count() or 1)
-        finished = conduct.run_study(
-            studies[self.name],
-            executor,
-            Store(self.results_dir),
-            preset=self.training.preset,
-            seeds=range(self.first_seed, self.first_seed + self.seeds),
-            steps=self.training.steps,
-            episodes=self.training.eval_episodes,
-            timeout_wait=self.connection.timeout_wait,
-            command=typed,
-            console=Console(),
-        )
+        store = Store(self.results_dir)
+        with store.only_writer(self.name):
+            finished = conduct.run_study(
+                studies[self.name],
+                executor,
+                store,
+                preset=self.training.preset,
+                seeds=range(self.first_seed, self.first_seed + self.seeds),
+                steps=self.training.steps,
+                episodes=self.training.eval_episodes,
+                timeout_wait=self.connection.timeout_wait,
+                command=typed,
+                console=Console(),
+            )
         return 0 if finished else 1
 
 
@@ -131,16 +133,20 @@ class Generalise(Options):
         from trainer.runs.folder import RunFolder
 
         folders = [RunFolder.find(run, self.results_dir) for run in self.runs]
+        from trainer.drafts import only_writer
         from trainer.studies.generalise import run_generalise
 
-        run_generalise(
-            folders,
-            self.results_dir / "generalise",
-            episodes=self.episodes,
-            timeout_wait=self.connection.timeout_wait,
-            command=typed,
-            console=Console(),
-        )
+        target = self.results_dir / "generalise"
+        with only_writer(target) as draft:
+            run_generalise(
+                folders,
+                draft,
+                target,
+                episodes=self.episodes,
+                timeout_wait=self.connection.timeout_wait,
+                command=typed,
+                console=Console(),
+            )
         return 0
 
 

@@ -173,15 +173,16 @@ class Train(Options):
             read_sb3_policy(self.from_sb3)
         from trainer.runs.folder import RunFolder
 
-        folder = RunFolder.prepare(config, self.results_dir, resume=self.resume, force=self.force)
-        from trainer.runs.run import train_run
+        with RunFolder.claim(config, self.results_dir, resume=self.resume, force=self.force) as (folder, draft):
+            from trainer.runs.run import train_run
 
-        finished = train_run(
-            config,
-            folder,
-            self.connection,
-            episodes=self.training.eval_episodes,
-            resumed=self.resume,
-            limits=self.restarts,
-        )
+            finished = train_run(
+                config,
+                folder,
+                draft,
+                self.connection,
+                episodes=self.training.eval_episodes,
+                resumed=self.resume,
+                limits=self.restarts,
+            )
         return 0 if finished else INTERRUPTED

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from mlagents_envs.exception import (
@@ -13,6 +14,8 @@ from mlagents_envs.exception import (
 )
 
 from trainer.errors import TrainerError
+
+TAIL_LINES, TAIL_BYTES = 3, 500
 
 # Of these mlagents-learn says that the player died or hangs.
 FAILURES = (
@@ -47,38 +50,60 @@ class BadNumbers(RuntimeError):
         return BadNumbers(self.field, self.value, self.agent, area)
 
 
+@dataclass
+class PlayerLogs:
+    """Where launched players log.
+
+    Attributes:
+        folder: The logs' folder, which may be moved while they are written.
+        stay: Whether they stay there, so that a message can refer to them.
+    """
+
+    folder: Path
+    stay: bool = True
+
+    def of(self, number: int) -> Path:
+        """A player's log."""
+        return self.folder / f"Player-{number}.log"
+
+    def hint(self, log: Path) -> str:
+        """A further sentence: where a log is, or its last lines if it does not stay; nothing if there is none."""
+        if not self.stay:
+            return last_lines(log)
+        return f" The player's log is {log}." if log.exists() else ""
+
+
+def last_lines(log: Path) -> str:
+    """A further sentence with a log's last lines; nothing if there are none."""
+    try:
+        text = log.read_bytes()[-TAIL_BYTES:].decode(errors="replace")
+    except OSError:
+        return ""
+    lines = [" ".join(line.split()) for line in text.splitlines() if line.strip()]
+    return f" The player's log ends: {' | '.join(lines[-TAIL_LINES:])}" if lines else ""
+
+
 @contextmanager
-def player_errors(log: Path | None = None) -> Iterator[None]:
+def player_errors(logs: PlayerLogs, number: int) -> Iterator[None]:
     """Turns what ``mlagents_envs`` raises while a player is in use into one sentence (``TrainerError``)."""
     try:
         yield
     except (UnityException, BadNumbers) as error:
-        raise TrainerError(explain(error, log)) from error
+        raise TrainerError(explain(error) + logs.hint(logs.of(number))) from error
 
 
-def explain(error: UnityException | RuntimeError, log: Path | None = None) -> str:
-    """One sentence for what ``mlagents_envs`` raises while a player is in use, and where its log is."""
+def explain(error: UnityException | RuntimeError) -> str:
+    """One sentence for what ``mlagents_envs`` raises while a player is in use."""
     match error:
         case UnityCommunicatorStoppedException():
-            text = "The player stopped in the middle of the run."
+            return "The player stopped in the middle of the run."
         case UnityTimeOutException():
-            text = f"{sentence(error)} The player hangs or is too slow."
+            return f"{sentence(error)} The player hangs or is too slow."
         case _:
-            text = sentence(error)
-    return text + log_hint(log)
-
-
-def log_path(log_folder: Path, number: int) -> Path:
-    """Where a launched player logs."""
-    return log_folder / f"Player-{number}.log"
+            return sentence(error)
 
 
 def sentence(error: Exception) -> str:
     """An exception's text as one sentence."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if text.endswith((".", "!", "?")) else f"{text}."
-
-
-def log_hint(log: Path | None) -> str:
-    """A further sentence that says where a log is, if there is one."""
-    return f" The player's log is {log}." if log is not None and log.exists() else ""

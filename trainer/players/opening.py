@@ -19,7 +19,7 @@ from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
 from trainer.players.behavior import only_behavior
 from trainer.players.environment import Environment
-from trainer.players.failures import log_hint, log_path, player_errors, sentence
+from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
 from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
 from trainer.players.location import BUILTIN, LOOPBACK, can_be_launched, is_loopback, launch_path, place
 from trainer.players.settings import channels, tell_corridor
@@ -99,10 +99,10 @@ def open_environment(
     except UnityTimeOutException as error:
         raise TrainerError(
             f"No player dialled in on {host}:{port} within {timeout_wait} s; start one with '--mlagents-port {port}', "
-            "or give it more time with --timeout-wait."
+            "or give it more time with --timeout-wait." + _said(log_folder, number)
         ) from error
     except UnityException as error:
-        raise TrainerError(f"{sentence(error)}{log_hint(log_folder and log_path(log_folder, number))}") from error
+        raise TrainerError(sentence(error) + _said(log_folder, number)) from error
     except OSError as error:
         raise TrainerError(
             f"{file_name} does not run on this machine ({platform.system()} {platform.machine()}: {error.strerror}); "
@@ -113,7 +113,7 @@ def open_environment(
 @contextmanager
 def open_players(
     config: RunConfig,
-    logs: Path,
+    logs: PlayerLogs,
     connection: ConnectionOptions,
     *,
     seed: int,
@@ -125,7 +125,7 @@ def open_players(
 
     Args:
         config: The run.
-        logs: Folder for the players' logs.
+        logs: Where the players log.
         connection: Where they are reached, unless ``config.env`` says so; the first one's port, the others' follow.
         seed: Player 0's; the others' follow from it.
         limits: How often one that failed may be started again.
@@ -150,7 +150,7 @@ def open_players(
         raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
     players = Players(start, lives, limits, logs, can_be_launched(config.env))
     try:
-        with player_errors(log_path(logs, 0)):
+        with player_errors(logs, 0):
             yield players
     except UnityGymException as error:
         raise TrainerError(str(error)) from error
@@ -160,7 +160,7 @@ def open_players(
 
 
 def _open(
-    config: RunConfig, logs: Path, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
+    config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
 ) -> OpenPlayer:
     statistics, (engine, parameters) = StatsSideChannel(), channels(config, seed)
     environment = open_environment(
@@ -169,7 +169,7 @@ def _open(
         num_areas=config.num_areas,
         port=connection.base_port,
         timeout_wait=connection.timeout_wait,
-        log_folder=logs,
+        log_folder=logs.folder,
         side_channels=[statistics, engine, parameters, state],
         number=number,
         env_args=config.env_args,
@@ -177,7 +177,7 @@ def _open(
         graphics=config.graphics,
     )
     try:
-        with player_errors(log_path(logs, number)):
+        with player_errors(logs, number):
             if config.env != BUILTIN and is_corridor(only_behavior(environment)[0]):
                 tell_corridor(config, parameters)
                 if not config.through_gym:  # UnityToGymWrapper begins with a reset
@@ -191,6 +191,10 @@ def _open(
     except BaseException:
         environment.kill()
         raise
+
+
+def _said(log_folder: Path | None, number: int) -> str:
+    return "" if log_folder is None else last_lines(PlayerLogs(log_folder).of(number))
 
 
 def _one_area(config: RunConfig, environment: Environment, statistics: StatsSideChannel) -> VecEnv:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
-from trainer.players.failures import FAILURES, explain
+from trainer.players.failures import FAILURES, PlayerLogs, explain
 
 Player = TypeVar("Player")
 
@@ -21,14 +21,14 @@ class Restarts:
     Args:
         number: Which player.
         limits: How often it may be started again.
-        log: Its log; one that died leaves it as ``<name>.died-<restart>.log``.
+        logs: Where it logs; one that died leaves its log as ``<name>.died-<restart>.log``.
         launched: Whether it is launched here; else it has to dial in again.
     """
 
-    def __init__(self, number: int, limits: RestartLimits, log: Path, launched: bool) -> None:
+    def __init__(self, number: int, limits: RestartLimits, logs: PlayerLogs, launched: bool) -> None:
         self._number = number
         self._limits = limits
-        self._log = log
+        self._logs = logs
         self._launched = launched
         self._console = Console(stderr=True)
         self._times: list[float] = []
@@ -64,7 +64,7 @@ class Restarts:
             TrainerError: The limits allow no more.
         """
         limits, now = self._limits, time.monotonic()
-        reason = explain(failure, self._keep_log())
+        reason = explain(failure) + self._logs.hint(self._keep_log())
         if limits.max_lifetime_restarts != -1 and self.count >= limits.max_lifetime_restarts:
             raise TrainerError(
                 f"{reason} Player {self._number} is not started again: --max-lifetime-restarts allows "
@@ -87,7 +87,8 @@ class Restarts:
 
     def _keep_log(self) -> Path:
         """Renames the log of a player that died: its next life writes a new one."""
-        kept = self._log.with_suffix(f".died-{self.count + 1}.log")
-        if self._log.exists():
-            self._log.replace(kept)
+        log = self._logs.of(self._number)
+        kept = log.with_suffix(f".died-{self.count + 1}.log")
+        if log.exists():
+            log.replace(kept)
         return kept

@@ -8,7 +8,6 @@ episodes of its first life once more.
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from trainer.config import RestartLimits
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
 from trainer.players.environment import Environment
-from trainer.players.failures import FAILURES, BadNumbers, explain, log_path
+from trainer.players.failures import FAILURES, BadNumbers, PlayerLogs, explain
 from trainer.players.restarts import Restarts
 from trainer.players.slots import Slots
 
@@ -50,7 +49,7 @@ class Players(Slots):
         start: Opens player k for its n-th life.
         lives: For each player, how often one was started before, in earlier parts of a resumed run.
         limits: How often one may be started again.
-        logs: Folder of the players' logs; one that died leaves its log as ``Player-<k>.died-<r>.log``.
+        logs: Where they log; one that died leaves its log as ``Player-<k>.died-<r>.log``.
         launched: Whether ``start`` launches players; else it waits for one to dial in, and waits only once.
 
     Attributes:
@@ -68,14 +67,14 @@ class Players(Slots):
         start: Callable[[int, int], OpenPlayer],
         lives: Sequence[int],
         limits: RestartLimits,
-        logs: Path,
+        logs: PlayerLogs,
         launched: bool,
     ) -> None:
         self._start = start
         self._earlier_lives = lives
         self._logs = logs
         self._launched = launched
-        self._restarts = [Restarts(number, limits, log_path(logs, number), launched) for number in range(len(lives))]
+        self._restarts = [Restarts(number, limits, logs, launched) for number in range(len(lives))]
         self._former_exchange_seconds = 0.0  # of players that died
         self._players = _open_all(start, lives)
         first = self._players[0]
@@ -164,7 +163,7 @@ class Players(Slots):
             except FAILURES as error:
                 self._restart(number, error)
             except BadNumbers as error:
-                raise TrainerError(explain(error, log_path(self._logs, number))) from error
+                raise TrainerError(explain(error) + self._logs.hint(self._logs.of(number))) from error
 
     def _wait(self, number: int) -> VecEnvStepReturn:
         try:
@@ -173,7 +172,7 @@ class Players(Slots):
             self._restart(number, error)
         except BadNumbers as error:
             where = error.in_area(0) if self.areas == 1 else error
-            raise TrainerError(explain(where, log_path(self._logs, number))) from where
+            raise TrainerError(explain(where) + self._logs.hint(self._logs.of(number))) from where
         last, next_observations = self.observations[self._slots(number)], self._reset(number)
         cut = [{"terminal_observation": each, "TimeLimit.truncated": True, "dropped": True} for each in last]
         return next_observations, np.zeros(len(last), np.float32), np.ones(len(last), np.bool_), cut

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
 from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR
+from trainer.files import whole_file
 from trainer.runs.evaluation import Episode
 
 
@@ -116,4 +117,5 @@ def _tidy(axes: Axes) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=110, bbox_inches="tight")
+    with whole_file(path) as file:
+        figure.savefig(file, dpi=110, bbox_inches="tight")

@@ -5,7 +5,8 @@ import json
 import os
 import platform
 import re
-import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from typing import Any
 import yaml
 
 from trainer.config import RunConfig
+from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
+from trainer.runs.checkpoint import Checkpoint, read_checkpoint
 
 PACKAGES = (
     "curious-corridor",
@@ -49,36 +52,36 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
         self.logs = path / "run_logs"
+        self.evaluation_logs = self.logs / "evaluation"
         self.learning_curve = path / "learning_curve.png"
         self.episode_paths = path / "episode_paths.png"
         self.trajectories = path / "trajectories.npz"
 
     @classmethod
-    def prepare(cls, config: RunConfig, results_dir: Path, *, resume: bool, force: bool) -> "RunFolder":
-        """Makes the folder of a new run, or takes up that of an existing one, and writes its configuration.
+    @contextmanager
+    def claim(
+        cls, config: RunConfig, results_dir: Path, *, resume: bool, force: bool
+    ) -> Iterator[tuple["RunFolder", Draft]]:
+        """Holds a run's folder, which need not exist, for the command that trains the run; changes nothing in it.
+
+        Yields:
+            The folder, and a draft: of the folder, or with ``resume`` of its new files.
 
         Raises:
             TrainerError: The run id is no folder name, the run exists (without ``resume`` or ``force``), it does not
-                (with ``resume``) or has other settings, or the folder can't be written.
+                (with ``resume``) or has other settings, or the folder can't be written, or another command does.
         """
         if resume and force:
             raise TrainerError("--resume continues a run and --force overwrites it; give one of them.")
         if not re.fullmatch(r"[\w.+-]*\w[\w.+-]*", config.run_id):
             raise TrainerError(f"The run id {config.run_id!r} can't name a folder; use letters, digits, and . _ + -.")
         folder = cls(results_dir / config.run_id)
-        try:
+        with only_writer(folder.path, replace=force) as draft:
             if resume:
                 folder._check_same_settings(config)
-            elif folder.path.exists():
-                folder._make_way(force)
-            folder.path.mkdir(parents=True, exist_ok=True)
-            record = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
-            write_whole(folder.configuration, yaml.safe_dump(record, sort_keys=False))
-        except OSError as error:
-            raise TrainerError(
-                f"{folder.path} can't be written ({error}); choose another with --results-dir."
-            ) from error
-        return folder
+            else:
+                folder._check_may_begin(force)
+            yield folder, draft
 
     @classmethod
     def find(cls, run: str, results_dir: Path) -> "RunFolder":
@@ -88,6 +91,7 @@ class RunFolder:
             TrainerError: There is none.
         """
         for path in (results_dir / run, Path(run)):
+            mend(path)
             if (path / "configuration.yaml").is_file():
                 return cls(path)
         raise TrainerError(f"No run {run!r} in {results_dir}; give a run id there, or the path of a run's folder.")
@@ -110,14 +114,46 @@ class RunFolder:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
         return record
 
-    def record_players(self, behavior: dict[str, Any], agents: int) -> None:
-        """Adds to ``configuration.yaml`` what the players' behavior observes and does, and how many agents each has."""
-        record = yaml.safe_load(self.configuration.read_text(encoding="utf-8"))
-        found = {"behavior": behavior, "agents_per_player": agents}
-        write_whole(self.configuration, yaml.safe_dump({**record, **found}, sort_keys=False))
+    def record(self, config: RunConfig, behavior: dict[str, Any], agents: int) -> None:
+        """Writes ``configuration.yaml``.
+
+        Args:
+            config: The run's settings.
+            behavior: What the players' behavior observes and does.
+            agents: How many each player has.
+        """
+        run = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
+        players = {"behavior": behavior, "agents_per_player": agents}
+        write_whole(self.configuration, yaml.safe_dump({**run, **players}, sort_keys=False))
+
+    def read_checkpoint(self, config: RunConfig, name: str | None = None) -> Checkpoint:
+        """Reads a checkpoint of the run; the newest without a name.
+
+        Args:
+            config: The run's settings, as its folder had them when it was looked at.
+            name: The checkpoint's.
+
+        Raises:
+            TrainerError: There is none, it is damaged, or it is another run's.
+        """
+        checkpoint = read_checkpoint(self.checkpoints, name)
+        try:
+            theirs = RunConfig.from_dict(checkpoint.facts["config"])
+        except (KeyError, TypeError) as error:
+            raise TrainerError(
+                f"The checkpoints in {self.checkpoints} are not of this version of curious-corridor ({error})."
+            ) from error
+        other = {name: both for name, both in _differences(theirs, config).items() if not _may_change(name)}
+        if other:
+            listed = ", ".join(f"{name} {its} instead of {ours}" for name, (its, ours) in other.items())
+            raise TrainerError(
+                f"The checkpoint of step {checkpoint.facts['env_steps']:,} in {self.checkpoints} is another run's: it "
+                f"has {listed}; delete it, or train the run again with --force."
+            )
+        return checkpoint
 
     def read_behavior(self) -> dict[str, Any]:
-        """The behavior that ``record_players`` added; empty if it was not called.
+        """The behavior that ``record`` wrote; empty in a run of before it was recorded.
 
         Raises:
             TrainerError: ``configuration.yaml`` is missing or broken.
@@ -148,31 +184,40 @@ class RunFolder:
             raise TrainerError(
                 f"There is no run {config.run_id!r} in {self.path.parent} to resume; leave --resume out."
             )
-        before, now = _flat(self.read_config().as_dict()), _flat(config.as_dict())
-        names = sorted((before.keys() | now.keys()) - set(DERIVED))
-        differing = [name for name in names if before.get(name) != now.get(name)]
-        refused = [name for name in differing if name.partition(".")[0] not in MAY_CHANGE]
-        if refused:
+        differing = _differences(self.read_config(), config)
+        if not all(map(_may_change, differing)):
             listed = ", ".join(
-                f"{name} {before.get(name)} -> {now.get(name)} ({'not ' * (name in refused)}allowed)"
-                for name in differing
+                f"{name} {before} -> {now} ({'not ' * (not _may_change(name))}allowed)"
+                for name, (before, now) in differing.items()
             )
             raise TrainerError(
                 f"Run {config.run_id!r} was begun with other settings: {listed}; give those that it began with, or "
                 "begin another run. Only these may change: " + ", ".join(MAY_CHANGE) + "."
             )
 
-    def _make_way(self, force: bool) -> None:
+    def _check_may_begin(self, force: bool) -> None:
+        if not self.path.exists():
+            return
         if not force:
             raise TrainerError(
                 f"The run {self.path.name!r} exists in {self.path.parent}; continue it with --resume, overwrite it "
                 "with --force, or choose another --run-id."
             )
-        if any(self.path.iterdir()) and not self.configuration.is_file():
+        if not self.configuration.is_file() and (not self.path.is_dir() or any(self.path.iterdir())):
             raise TrainerError(
                 f"{self.path} is not a run's folder, so --force leaves it alone; choose another --run-id."
             )
-        shutil.rmtree(self.path)
+
+
+def _differences(one: RunConfig, other: RunConfig) -> dict[str, tuple[Any, Any]]:
+    """Settings that differ, and what each has."""
+    before, now = _flat(one.as_dict()), _flat(other.as_dict())
+    names = sorted((before.keys() | now.keys()) - set(DERIVED))
+    return {name: (before.get(name), now.get(name)) for name in names if before.get(name) != now.get(name)}
+
+
+def _may_change(name: str) -> bool:
+    return name.partition(".")[0] in MAY_CHANGE
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -10,15 +10,17 @@ from rich.table import Table
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, corridor_of, is_corridor
+from trainer.drafts import Draft
 from trainer.errors import TrainerError
 from trainer.learning.algorithm_state import policy_sha256
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.learning.stages import Stages, build_stages
 from trainer.players.behavior import behavior_record
+from trainer.players.failures import PlayerLogs
 from trainer.players.location import can_be_launched
 from trainer.players.opening import open_players
 from trainer.players.several import Players
-from trainer.runs.checkpoint import checkpoints, read_checkpoint
+from trainer.runs.checkpoint import checkpoints
 from trainer.runs.counters import Counters
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
@@ -58,6 +60,7 @@ class _Learned:
 def train_run(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     *,
     episodes: int,
@@ -69,6 +72,7 @@ def train_run(
     Args:
         config: The run.
         folder: Where its results go.
+        draft: Of the folder; published once the players are open and fit.
         connection: How its players are reached.
         episodes: Of its evaluation.
         resumed: Whether it goes on from its newest checkpoint.
@@ -81,7 +85,7 @@ def train_run(
         TrainerError: The player can't be started, does not fit, or failed; what was learned until then is saved.
     """
     with _written_to(folder):
-        learned = _learn(config, folder, connection, episodes, resumed, limits)
+        learned = _learn(config, folder, draft, connection, episodes, resumed, limits)
         evaluation = _evaluate(config, folder, connection, episodes, limits, learned)
         _report(config, folder, learned, evaluation)
     return learned.finished
@@ -90,18 +94,20 @@ def train_run(
 def _learn(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     episodes: int,
     resumed: bool,
     limits: RestartLimits,
 ) -> _Learned:
     # A run that was killed before its first update begins again.
-    checkpoint = read_checkpoint(folder.checkpoints) if resumed and checkpoints(folder.checkpoints) else None
+    checkpoint = folder.read_checkpoint(config) if resumed and checkpoints(folder.checkpoints) else None
     so_far = Resumed() if checkpoint is None else resumed_from(checkpoint, config.num_envs)
-    counters = replace(so_far.counters)
+    counters, drafted = replace(so_far.counters), RunFolder(draft.path)
+    logs = PlayerLogs(drafted.logs, stay=False)
     with open_players(
         config,
-        folder.logs,
+        logs,
         connection,
         seed=config.seed,
         limits=limits,
@@ -113,7 +119,12 @@ def _learn(
                 f"--penalty {config.penalty:g} is for a corridor, but behavior {players.behavior} has rewards of its "
                 "own; leave it out."
             )
-        folder.record_players(behavior_record(players.behavior, players.behavior_spec), players.areas)
+
+        def begin() -> None:
+            drafted.record(config, behavior_record(players.behavior, players.behavior_spec), players.areas)
+            draft.publish()
+            logs.folder, logs.stay = folder.logs, True
+
         if players.areas != config.num_areas:
             _say_who_came(config.num_areas, players.areas)
         stages = build_stages(config, players)
@@ -121,7 +132,7 @@ def _learn(
             load_sb3_policy(Path(config.from_sb3), stages.model)
             warning = ONLY_WEIGHTS.format(config.from_sb3)
             Console().print(warning, style="yellow", highlight=False, markup=False)
-        finished = train(config, folder, stages, players, counters, checkpoint)
+        finished = train(config, folder, stages, players, counters, begin, checkpoint)
         evaluated = None
         if finished and not can_be_launched(config.env):
             evaluated = evaluate(stages.model, stages.normaliser, players, episodes)
@@ -142,10 +153,11 @@ def _evaluate(
         return None
     if played is None:
         seed = evaluation_seed(config.seed)
-        with _evaluation_players(config, folder, connection, limits) as players:
+        logs = PlayerLogs(folder.evaluation_logs)
+        with _evaluation_players(config, logs, connection, limits) as players:
             played = evaluate(learned.stages.model, learned.stages.normaliser, players, episodes)
     evaluation = Trajectories(learned.behavior, seed, learned.counters.env_steps, played)
-    save_trajectories(folder.trajectories, evaluation)
+    _save_evaluation(config, folder, evaluation)
     return evaluation
 
 
@@ -180,6 +192,7 @@ def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation:
 def evaluate_run(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     *,
     episodes: int,
@@ -190,14 +203,16 @@ def evaluate_run(
     Raises:
         TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
-    evaluation = play_episodes(config, folder, connection, episodes=episodes, checkpoint=checkpoint)
-    save_trajectories(folder.trajectories, evaluation)
+    evaluation = play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)
+    _save_evaluation(config, RunFolder(draft.path), evaluation)
+    draft.publish()
     _show_evaluation(config, folder, evaluation)
 
 
 def play_episodes(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     *,
     episodes: int,
@@ -208,10 +223,13 @@ def play_episodes(
     Raises:
         TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
-    read_checkpoint(folder.checkpoints, checkpoint)  # before a player is started, or waited for
-    with _evaluation_players(config, folder, connection, RestartLimits()) as players:
+    folder.read_checkpoint(config, checkpoint)  # before a player is started, or waited for
+    logs = PlayerLogs(RunFolder(draft.path).evaluation_logs, stay=False)
+    with _evaluation_players(config, logs, connection, RestartLimits()) as players:
         stages = build_stages(config, players)
         counters = load_trained(config, folder, stages, checkpoint)
+        draft.publish()
+        logs.folder, logs.stay = folder.evaluation_logs, True
         played = evaluate(stages.model, stages.normaliser, players, episodes)
     return Trajectories(players.behavior, evaluation_seed(config.seed), counters.env_steps, played)
 
@@ -237,24 +255,28 @@ def _say_who_came(asked: int, came: int) -> None:
 
 
 def _evaluation_players(
-    config: RunConfig, folder: RunFolder, connection: ConnectionOptions, limits: RestartLimits
+    config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, limits: RestartLimits
 ) -> AbstractContextManager[Players]:
-    seed = evaluation_seed(config.seed)
-    return open_players(config, folder.logs / "evaluation", connection, seed=seed, limits=limits)
+    return open_players(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits)
+
+
+def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
+    episodes = evaluation.episodes
+    save_trajectories(folder.trajectories, evaluation)
+    if is_corridor(evaluation.behavior):
+        shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
+        corridor = corridor_of(config.penalty, config.environment_parameters)
+        save_episode_paths(shown, _title(config), folder.episode_paths, corridor)
 
 
 def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
-    console, title, episodes = Console(), _title(config), evaluation.episodes
-    console.print(f"Evaluation of {title}, deterministic policy:", highlight=False, soft_wrap=True)
+    console, episodes = Console(), evaluation.episodes
+    console.print(f"Evaluation of {_title(config)}, deterministic policy:", highlight=False, soft_wrap=True)
     table = Table("measure", "value")
     for name, value in summarise(episodes).items():
         if name != "success_unknown":  # which stands in the success rate's place
             table.add_row(name, _reported(episodes, name) if value is None else f"{value:g}")
     console.print(table)
-    if is_corridor(evaluation.behavior):
-        shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
-        corridor = corridor_of(config.penalty, config.environment_parameters)
-        save_episode_paths(shown, title, folder.episode_paths, corridor)
     console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
 
 

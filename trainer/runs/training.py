@@ -1,6 +1,6 @@
 """Training: stages learn on players, with progress, checkpoints and a clean stop."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -15,7 +15,7 @@ from trainer.learning.stages import Stages
 from trainer.players.failures import BadNumbers
 from trainer.players.slots import Slots
 from trainer.runs.callbacks import CountEpisodes, CountSteps, LogRows, Save, ShowProgress, StopOnSignal
-from trainer.runs.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint
+from trainer.runs.checkpoint import Checkpoint, CheckpointWriter
 from trainer.runs.counters import Counters
 from trainer.runs.folder import RunFolder
 from trainer.runs.logs import ProgressFile, TensorBoardLog
@@ -38,6 +38,7 @@ def train(
     stages: Stages,
     players: Slots,
     counters: Counters,
+    begin: Callable[[], None],
     checkpoint: Checkpoint | None = None,
 ) -> bool:
     """Trains until ``config.steps``, a signal or an error; whatever ends it, the last whole update is saved.
@@ -48,6 +49,7 @@ def train(
         stages: Of ``build_stages``.
         players: That the stages stand on.
         counters: Of the checkpoint, or new ones; updated as the run goes, and those of the last update at the end.
+        begin: Called before anything is written, once everything is known to fit.
         checkpoint: Of a resumed run, whose players were opened with its states.
 
     Returns:
@@ -59,11 +61,8 @@ def train(
     """
     model, steps = stages.model, steps_per_update(config)
     done = counters.env_steps
-    outputs = [
-        ProgressFile(folder.progress, done),
-        TensorBoardLog(folder.tensorboard, done),
-    ]
-    model.set_logger(Logger(str(folder.path), outputs))
+    logger = Logger(str(folder.path), [])
+    model.set_logger(logger)
     episodes, random = CountEpisodes(counters), RandomStreams()
     learning = learning_parts(stages, episodes, random)
     if checkpoint is not None:
@@ -72,6 +71,8 @@ def train(
         if not restore_episodes(checkpoint, stages, players):
             Console().print("The player can't go on where it was: new episodes begin.", highlight=False)
     everything: dict[str, Captured] = {**trained_parts(stages), **learning, **episode_parts(stages), "players": players}
+    begin()
+    logger.output_formats += [ProgressFile(folder.progress, done), TensorBoardLog(folder.tensorboard, done)]
     writer = CheckpointWriter(folder.checkpoints)
     with ProgressDisplay(config.run_id, config.steps, done) as display, StopSignals() as signals:
         stop = StopOnSignal(signals)
@@ -104,7 +105,7 @@ def load_trained(config: RunConfig, folder: RunFolder, stages: Stages, checkpoin
     """Puts a run's policy into freshly built stages, to be played and not to be trained further.
 
     Args:
-        config: The run.
+        config: The run, as its folder has it.
         folder: Its folder.
         stages: Of ``build_stages``.
         checkpoint: The checkpoint's name; the newest if not given.
@@ -113,9 +114,9 @@ def load_trained(config: RunConfig, folder: RunFolder, stages: Stages, checkpoin
         The counters that were saved with it.
 
     Raises:
-        TrainerError: There is none, it is damaged, or it does not fit.
+        TrainerError: There is none, it is damaged, another run's, or does not fit.
     """
-    read = read_checkpoint(folder.checkpoints, checkpoint)
+    read = folder.read_checkpoint(config, checkpoint)
     restore_trained(read, stages, config.algo)
     return Counters(**read.facts["counters"])
 

@@ -27,8 +27,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from corridor_server.corridor import observation as layout
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
+from trainer.drafts import Draft
 from trainer.errors import TrainerError
 from trainer.learning.stages import build_stages
+from trainer.players.failures import PlayerLogs
 from trainer.players.location import BUILTIN
 from trainer.players.opening import open_players
 from trainer.runs.checkpoint import checkpoints
@@ -187,20 +189,20 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
     Raises:
         TrainerError: There is no checkpoint, or the player failed.
     """
-    config = dataclasses.replace(
-        config, environment_parameters={**config.environment_parameters, **change.parameters}, num_envs=1
-    )
+    parameters = {**config.environment_parameters, **change.parameters}
+    changed = dataclasses.replace(config, environment_parameters=parameters, num_envs=1)
     if config.env == BUILTIN:
-        config = dataclasses.replace(config, through_gym=False, num_areas=min(AREAS, episodes))
+        changed = dataclasses.replace(changed, through_gym=False, num_areas=min(AREAS, episodes))
     with tempfile.TemporaryDirectory() as temporary:
         if change.opponents is not None:
             file = Path(temporary) / "corridor.json"
             file.write_text(json.dumps({"num_opponents": change.opponents}), encoding="utf-8")
-            config = dataclasses.replace(config, env_args=[*config.env_args, "--config", str(file)])
+            changed = dataclasses.replace(changed, env_args=[*config.env_args, "--config", str(file)])
         connection = ConnectionOptions(base_port=free_port(), timeout_wait=timeout_wait)
-        with open_players(config, Path(temporary), connection, seed=evaluation_seed(config.seed)) as players:
+        logs = PlayerLogs(Path(temporary), stay=False)
+        with open_players(changed, logs, connection, seed=evaluation_seed(config.seed)) as players:
             shown = NearestOpponent(players)
-            stages = build_stages(config, shown)
+            stages = build_stages(changed, shown)
             load_trained(config, folder, stages)
             return summarise(evaluate(stages.model, stages.normaliser, shown, episodes))
 
@@ -226,22 +228,33 @@ class Cell:
 
 
 def run_generalise(
-    folders: Sequence[RunFolder], target: Path, *, episodes: int, timeout_wait: int, command: str, console: Console
+    folders: Sequence[RunFolder],
+    draft: Draft,
+    target: Path,
+    *,
+    episodes: int,
+    timeout_wait: int,
+    command: str,
+    console: Console,
 ) -> None:
     """Evaluates every run in every changed corridor, and writes ``report.md``, ``cells.csv`` and ``generalise.png``.
 
+    Args:
+        folders: The runs'.
+        draft: Of the target.
+        target: Where the files go.
+        episodes: To play in each corridor.
+        timeout_wait: Seconds to wait for a player.
+        command: As typed, for the report.
+        console: To show progress and the report.
+
     Raises:
-        TrainerError: A run has no checkpoint or another observation, or the target can't be written.
+        TrainerError: A run has no checkpoint or another observation.
     """
     configs = [folder.read_config() for folder in folders]
     for config, folder in zip(configs, folders, strict=True):
         if not checkpoints(folder.checkpoints):
             raise TrainerError(f"The run {config.run_id} has no checkpoint in {folder.checkpoints}; train it first.")
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        (target / "report.md").touch()
-    except OSError as error:
-        raise TrainerError(f"{target} can't be written ({error}); choose another with --results-dir.") from error
     tried = [panels(config) for config in configs]
     shown = [panel for panel in tried[0] if all(panel.title in [each.title for each in others] for others in tried)]
     cells: list[list[list[Cell]]] = []
@@ -260,10 +273,11 @@ def run_generalise(
                         progress.advance(task)
                     cells[-1][-1].append(Cell(panel.title, change, evaluations))
 
-    save(heat_maps(shown, cells), target / "generalise.png")
-    _write_cells(cells, target / "cells.csv")
+    save(heat_maps(shown, cells), draft.path / "generalise.png")
+    _write_cells(cells, draft.path / "cells.csv")
     report = _report(shown, cells, [config.run_id for config in configs], episodes, command)
-    (target / "report.md").write_text(report, encoding="utf-8")
+    (draft.path / "report.md").write_text(report, encoding="utf-8")
+    draft.publish()
     console.print(report, highlight=False, markup=False, soft_wrap=True)
     console.print(f"Report: {target / 'report.md'}", highlight=False, soft_wrap=True)
 

@@ -4,17 +4,22 @@ import json
 import shutil
 import tempfile
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
 from trainer.config import RunConfig
+from trainer.drafts import only_writer
 from trainer.errors import TrainerError
+from trainer.files import write_whole
 from trainer.runs.folder import RunFolder
 from trainer.studies.results import RunResult
 
 READ = ("configuration.yaml", "summary.json", "progress.csv")
+PATIENCE_SECONDS = 30.0  # with another attempt that is just putting the same run in its place
 
 
 class Store:
@@ -34,6 +39,16 @@ class Store:
             raise TrainerError(f"--results-dir {place} can't be used: {error}") from error
         self._is_local = isinstance(self.fs, LocalFileSystem)
         self.place = self.root if self._is_local else place.rstrip("/")
+
+    @contextmanager
+    def only_writer(self, study: str) -> Iterator[None]:
+        """Holds a study's folder against other studies; at a URL, nothing can be held.
+
+        Raises:
+            TrainerError: Another command is writing to it.
+        """
+        with only_writer(Path(self.root, study)) if self._is_local else nullcontext():
+            yield
 
     def check_writable(self) -> None:
         """Writes and removes a file.
@@ -65,10 +80,9 @@ class Store:
         own = f"{self.root}/{study}/{config.run_id}"
         others: list[str] = sorted(set(self.fs.glob(f"{self.root}/*/{config.run_id}")) - {own})
         for path in (own, *others):
-            found = self._read_config(path)
-            if found == config and self._is_finished(path, episodes):
+            if self._has(path, config, episodes):
                 return path
-            if path == own and found != config and self._names_in(path) - {"run_logs"}:
+            if path == own and self._read_config(path) != config and self._names_in(path) - {"run_logs"}:
                 raise TrainerError(
                     f"{path} is not a run with this study's settings; choose another --results-dir, or remove it."
                 )
@@ -81,20 +95,16 @@ class Store:
         turns out to be alive.
         """
         path = f"{self.root}/{study}/{config.run_id}"
-        if self._is_finished(path, episodes) and self._read_config(path) == config:
+        if self._is_local:
+            with only_writer(Path(path), replace=True, seconds=PATIENCE_SECONDS) as draft:
+                if not self._has(path, config, episodes):
+                    shutil.copytree(folder, draft.path, dirs_exist_ok=True)
+                    draft.publish()
+            return
+        if self._has(path, config, episodes):
             return
         if self.fs.exists(path):
             self.fs.rm(path, recursive=True)
-        if self._is_local:
-            temporary = Path(f"{self.root}/{study}/.{config.run_id}-{uuid.uuid4().hex}")
-            try:
-                shutil.copytree(folder, temporary)
-                temporary.rename(path)
-            except BaseException as error:
-                shutil.rmtree(temporary, ignore_errors=True)
-                if not isinstance(error, OSError) or not self._is_finished(path, episodes):
-                    raise
-            return
         files = sorted(each for each in folder.rglob("*") if each.is_file())
         for file in sorted(files, key=lambda each: each.name == "summary.json"):
             self.put(file, f"{study}/{config.run_id}/{file.relative_to(folder).as_posix()}")
@@ -106,9 +116,7 @@ class Store:
         if not self._is_local:
             self.fs.put_file(str(file), target)
             return
-        temporary = f"{target}.{uuid.uuid4().hex}.tmp"
-        self.fs.put_file(str(file), temporary)
-        Path(temporary).replace(target)
+        write_whole(Path(target), file.read_bytes())
 
     def load(self, path: str) -> RunResult:
         """Reads a finished run.
@@ -127,6 +135,9 @@ class Store:
                 raise TrainerError(
                     f"The run {path} can't be read ({error}); remove it and run the study again."
                 ) from error
+
+    def _has(self, path: str, config: RunConfig, episodes: int) -> bool:
+        return self._is_finished(path, episodes) and self._read_config(path) == config
 
     def _names_in(self, path: str) -> set[str]:
         try:

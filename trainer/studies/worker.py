@@ -31,15 +31,16 @@ def _work() -> int:
     threading.Thread(target=_stop_at_end_of_input, daemon=True).start()
     config = RunConfig.from_dict(order["config"])
     try:
-        folder = RunFolder.prepare(config, Path(order["folder"]), resume=False, force=False)
-        from trainer.runs.run import train_run
+        with RunFolder.claim(config, Path(order["folder"]), resume=False, force=False) as (folder, draft):
+            from trainer.runs.run import train_run
 
-        finished = train_run(
-            config,
-            folder,
-            ConnectionOptions(base_port=order["port"], timeout_wait=order["timeout_wait"]),
-            episodes=order["episodes"],
-        )
+            finished = train_run(
+                config,
+                folder,
+                draft,
+                ConnectionOptions(base_port=order["port"], timeout_wait=order["timeout_wait"]),
+                episodes=order["episodes"],
+            )
     except TrainerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -5,6 +5,7 @@ from pathlib import Path
 from rich.console import Console
 
 from trainer.config import ConnectionOptions, RunConfig
+from trainer.drafts import Draft
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories
@@ -16,6 +17,7 @@ from trainer.viewer.scene import run_scene
 def replay_run(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     *,
     checkpoint: str | None,
@@ -26,6 +28,7 @@ def replay_run(
     Args:
         config: The run.
         folder: Its results.
+        draft: Of the folder.
         connection: How a player is reached, if one is needed.
         checkpoint: Play this checkpoint (``step-500736``) instead of showing the run's evaluation; its files are named
             after it.
@@ -38,25 +41,28 @@ def replay_run(
         TrainerError: There is nothing to show, or its file is broken.
     """
     console = Console()
-    trajectories = _trajectories(config, folder, connection, checkpoint, episodes, console)
+    trajectories = _trajectories(config, folder, draft, connection, checkpoint, episodes, console)
     scene = run_scene(config, trajectories, episodes)
     for note in scene["notes"]:
         console.print(note, highlight=False, soft_wrap=True)
     name = "replay" if checkpoint is None else f"replay-step-{trajectories.env_steps}"
-    html, gif, mp4 = (folder.path / f"{name}.{ending}" for ending in ("html", "gif", "mp4"))
+    html, gif, mp4 = (draft.path / f"{name}.{ending}" for ending in ("html", "gif", "mp4"))
     try:
         html.write_text(page({"mode": "replay", "scene": scene}), encoding="utf-8")
         save_animations(trajectories, scene, gif, mp4)
+        draft.publish()
     except OSError as error:
         raise TrainerError(f"{folder.path} can't be written to ({error.strerror}); check its permissions.") from error
-    for path in (html, gif, mp4):
+    files = [folder.path / path.name for path in (html, gif, mp4)]
+    for path in files:
         console.print(f"{path} ({path.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
-    return [html, gif, mp4]
+    return files
 
 
 def _trajectories(
     config: RunConfig,
     folder: RunFolder,
+    draft: Draft,
     connection: ConnectionOptions,
     checkpoint: str | None,
     episodes: int,
@@ -68,4 +74,4 @@ def _trajectories(
 
     if checkpoint is None:
         console.print("This run has no evaluation; its newest checkpoint is played.", highlight=False, soft_wrap=True)
-    return play_episodes(config, folder, connection, episodes=episodes, checkpoint=checkpoint)
+    return play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)

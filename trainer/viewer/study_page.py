@@ -9,7 +9,9 @@ from typing import Any
 
 from rich.console import Console
 
+from trainer.drafts import only_writer
 from trainer.errors import TrainerError
+from trainer.files import write_whole
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.document import page
@@ -64,7 +66,7 @@ def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
         "notes": notes,
     }
     report = folder / "report.html"
-    report.write_text(page({"mode": "study", "study": study}), encoding="utf-8")
+    write_whole(report, page({"mode": "study", "study": study}))
     for note in notes:
         console.print(note, highlight=False, soft_wrap=True)
     console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
@@ -79,7 +81,8 @@ def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
         return {"run_id": run_id, "facts": "", "replay": None}
     scene = run_scene(folder.read_config(), load_trajectories(folder.trajectories), episodes)
     replay = folder.path / "replay.html"
-    replay.write_text(page({"mode": "replay", "scene": scene}), encoding="utf-8")
+    with only_writer(folder.path):
+        write_whole(replay, page({"mode": "replay", "scene": scene}))
     evaluation = json.loads(folder.summary.read_text(encoding="utf-8"))["evaluation"]
     success = evaluation["success_rate"]
     facts = [

@@ -70,7 +70,8 @@ class WatchedRuns:
 
     def _folders(self) -> list[RunFolder]:
         try:
-            found = [RunFolder(path.parent) for path in self._results_dir.glob("*/configuration.yaml")]
+            paths = self._results_dir.glob("*/configuration.yaml")
+            found = [RunFolder(path.parent) for path in paths if "~" not in path.parent.name]  # drafts have one
             return sorted(found, key=lambda folder: (-_news(folder), folder.path.name))[:LISTED]
         except OSError:
             return []

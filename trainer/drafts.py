@@ -1,0 +1,150 @@
+"""Folders that one command writes to at a time, and what it makes outside of them until it is whole.
+
+Beside a folder ``x`` stand, as long as a command writes to it, ``.x~lock`` and ``.x~new``, and while another folder
+takes its place, ``.x~old``: a run id has no tilde.
+"""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+from rich.console import Console
+
+from trainer.errors import TrainerError
+from trainer.signals import deferred
+
+WITHIN = ".~new"  # inside a folder that stays: it may be a mount, into which nothing can be renamed
+
+
+class Draft:
+    """A folder for what is to become part of another one, or to take its place.
+
+    Args:
+        folder: The other one.
+        replace: Whether it takes its place.
+
+    Attributes:
+        path: The draft's own.
+    """
+
+    def __init__(self, folder: Path, replace: bool) -> None:
+        self._folder = folder.resolve()
+        self._whole = replace or not self._folder.exists()
+        self._instead = replace and self._folder.exists()
+        self.path = beside(folder, "new") if self._whole else self._folder / WITHIN
+
+    def publish(self) -> None:
+        """Moves every file to its place in the folder; or the draft takes the folder's place, whole or not at all."""
+        if self._whole:
+            with deferred():
+                self._take_place()
+            self._whole = False
+            return
+        for file in sorted(each for each in self.path.rglob("*") if not each.is_dir()):
+            place = self._folder / file.relative_to(self.path)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+
+    def _take_place(self) -> None:
+        old = beside(self._folder, "old")
+        if self._instead:
+            self._folder.rename(old)
+        try:
+            self.path.rename(self._folder)
+        finally:
+            put_back(self._folder)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def only_writer(folder: Path, *, replace: bool = False, seconds: float = 0.0) -> Iterator[Draft]:
+    """Holds a folder, which need not exist, against other writers; a process that dies holds nothing.
+
+    Args:
+        folder: The folder.
+        replace: Whether the draft shall take its place, instead of becoming part of it.
+        seconds: To wait for another writer.
+
+    Yields:
+        An empty draft, which is removed at the end with all that was not published.
+
+    Raises:
+        TrainerError: Another command is writing to the folder, or it can't be written.
+    """
+    place, lock = beside(folder, "lock"), FileLock(beside(folder, "lock"), timeout=seconds, fallback_to_soft=False)
+    made: list[Path] = []
+    try:
+        _acquire(folder, lock, made)
+        put_back(folder)
+        draft = Draft(folder, replace)
+        try:
+            _remove_what_was_left(folder)
+            draft.path.mkdir(parents=True)
+            yield draft
+        finally:
+            shutil.rmtree(draft.path, ignore_errors=True)
+    except OSError as error:
+        raise TrainerError(f"{folder} can't be written ({error}); choose another with --results-dir.") from error
+    finally:
+        if lock.is_locked:
+            place.unlink(missing_ok=True)  # before it is released: who waits for it looks whether it is still there
+            lock.release()
+        for each in made:
+            with suppress(OSError):  # something is in it by now
+                each.rmdir()
+
+
+def beside(folder: Path, what: str) -> Path:
+    """A place beside a folder that no run id can name."""
+    whole = folder.resolve()
+    return whole.parent / f".{whole.name}~{what}"
+
+
+def mend(folder: Path) -> None:
+    """Puts a folder back that a command was about to replace when it was killed."""
+    if beside(folder, "old").exists() and not folder.exists():
+        with suppress(TrainerError), only_writer(folder, seconds=1.0):  # or it is being replaced right now
+            pass
+
+
+def put_back(folder: Path) -> None:
+    """Undoes a change of place that was cut in the middle."""
+    old = beside(folder, "old")
+    if old.exists() and not folder.resolve().exists():
+        old.rename(folder.resolve())
+
+
+def _remove_what_was_left(folder: Path) -> None:
+    """Removes drafts of folders and of files that a process left which was killed."""
+    for left in (beside(folder, "old"), beside(folder, "new"), *folder.glob(".*~*")):
+        if left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+
+
+def _acquire(folder: Path, lock: FileLock, made: list[Path]) -> None:
+    while True:
+        parent = folder.resolve().parent
+        made += [each for each in (parent, *parent.parents) if not each.exists()]
+        parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire()
+            return
+        except Timeout as error:
+            raise TrainerError(
+                f"Another corridor command is writing to {folder}; wait for its end, or stop it first."
+            ) from error
+        except FileNotFoundError:  # another command has just removed the parent again that it had made
+            continue
+        except OSError as error:
+            Console(stderr=True).print(
+                f"Warning: {folder} can't be locked ({error.strerror}); see to it that no other command writes to it.",
+                style="yellow",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
+            return
