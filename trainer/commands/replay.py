@@ -1,7 +1,6 @@
 """``corridor replay``."""
 
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 from rich.console import Console
 
@@ -26,10 +25,11 @@ class Replay(Options):
 
     def run(self, typed: str) -> int:
         """Writes the pages."""
+        from trainer.runs.folder import run_places
         from trainer.viewer.replay_files import replay_run
         from trainer.viewer.study_page import is_study, write_study_page
 
-        for study in (self.results.results_dir / self.results.run, Path(self.results.run)):
+        for study in run_places(self.results.run, self.results.results_dir):
             if is_study(study):
                 write_study_page(study, self.episodes, Console())
                 return 0

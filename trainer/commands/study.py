@@ -9,10 +9,11 @@ from typing import Annotated, ClassVar
 import tyro
 from rich.console import Console
 
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, TrainingOptions
 from trainer.config import ExecutorName, WaitOptions
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Range
+from trainer.options import Count, Options
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypedDict, cast, get_type_hints
 
 import tyro
 
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir, TrainingOptions
 from trainer.config import (
     PRESETS,
@@ -20,7 +21,7 @@ from trainer.config import (
 )
 from trainer.corridor import check_ranges
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Range, Seed
+from trainer.options import Count, Options, Seed
 from trainer.signals import INTERRUPTED
 
 

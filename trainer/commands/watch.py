@@ -5,8 +5,9 @@ from typing import Annotated
 
 from rich.console import Console
 
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir
-from trainer.options import Options, Range
+from trainer.options import Options
 
 
 @dataclass(frozen=True)

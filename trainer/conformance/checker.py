@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from corridor_server.protocol.addresses import PortInUse, authority, free_addresses
 from trainer.conformance import TOPICS, CorridorContract
 from trainer.conformance.suite import Conformance, is_strict
 from trainer.conformance.verdicts import NotApplicable
@@ -107,7 +108,11 @@ def check_player(env: str, timeout: float, strict: bool, console: Console) -> bo
     file_name, host, port = place(env, 0)
     launch = None if file_name is None else launch_path(file_name)
     if launch is None:
-        console.print(f"Start the player now, and again whenever it ends: it is awaited on {host}:{port}.")
+        try:
+            free_addresses(host, port)
+        except (PortInUse, ValueError) as error:
+            raise TrainerError(str(error)) from error
+        console.print(f"Start the player now, and again whenever it ends: it is awaited on {authority(host, port)}.")
 
     def start(trainer_port: int, *arguments: str) -> "subprocess.Popen[bytes] | None":
         if launch is None:

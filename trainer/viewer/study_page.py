@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from trainer.errors import TrainerError
-from trainer.runs.folder import RunFolder
+from trainer.runs.folder import RunFolder, is_file
 from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.document import page
 from trainer.viewer.scene import run_scene
@@ -21,7 +21,7 @@ CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 
 def is_study(folder: Path) -> bool:
     """Whether ``corridor study`` has reported in this folder."""
-    return (folder / CLAIMS).is_file()
+    return is_file(folder / CLAIMS)
 
 
 def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
