@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import subcommand
 
 from trainer.commands.bench import Bench
@@ -21,6 +19,7 @@ from trainer.commands.train import Train
 from trainer.commands.watch import Watch
 from trainer.errors import TrainerError
 from trainer.signals import INTERRUPTED, interrupt_on_stop_signals
+from trainer.terminal import Terminal
 
 ENV_ARGS = "--env-args"
 
@@ -43,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if ENV_ARGS in arguments:  # what follows is the player's, dashes and all, as with mlagents-learn
         at = arguments.index(ENV_ARGS)
         arguments, env_args = arguments[:at], arguments[at + 1 :]
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     try:
         command = tyro.cli(
             Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
@@ -53,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         interrupt_on_stop_signals()
         return command.run(shlex.join(["corridor", *arguments]))
     except TrainerError as error:
-        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        console.print_failure("error:", str(error))
         return 1
     except KeyboardInterrupt:
         console.print("Stopped.")

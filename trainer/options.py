@@ -39,7 +39,7 @@ class Options:
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(type(self), include_extras=True).items():
-            if get_origin(hint) is ClassVar:
+            if ClassVar in (hint, get_origin(hint)):
                 continue
             value = getattr(self, name)
             try:

@@ -42,7 +42,10 @@ class Example(Options):
         ({"ratio": math.nan}, "--ratio is nan, but a number from 0 to 1000 was expected."),
         ({"wait": math.inf}, "--wait is inf, but seconds above 0 were expected."),
         ({"wait": 2e9}, "--wait is 2e+09, but at most 1,000,000,000 seconds were expected."),
-        ({"steps": 10**401}, "--steps is an integer of more than 40 digits, but a whole number from 1 up was expected."),
+        (
+            {"steps": 10**401},
+            "--steps is an integer of more than 40 digits, but a whole number from 1 up was expected.",
+        ),
         ({"steps": True}, "--steps is True, but a whole number from 1 up was expected."),
         ({"wait": 0.0}, "--wait is 0, but seconds above 0 were expected."),
         ({"port": 0}, "--port is 0, but a whole number from 1 up was expected."),

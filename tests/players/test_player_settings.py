@@ -86,7 +86,10 @@ def test_our_player_takes_them(open_corridor, tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[1, 2]", r"holds \[1, 2\], but names and values were expected. --config is a YAML file with the sections engine_set"),
+        (
+            "[1, 2]",
+            r"holds \[1, 2\], but names and values were expected. --config is a YAML file with the sections engine_set",
+        ),
         ("a: [", "is not YAML"),
         ("behaviors: {Corridor: {}}", "has the section 'behaviors', .* an option of corridor train"),
         ("engine_settings: 5", "engine_settings in .* is 5, but lines 'name: value' were expected"),

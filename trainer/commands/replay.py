@@ -2,11 +2,10 @@
 
 from dataclasses import asdict, dataclass, field
 
-from rich.console import Console
-
 from trainer.commands.shared_options import Episodes, ExistingRun
 from trainer.config import ConnectionOptions, PortOptions
 from trainer.options import Options
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Replay(Options):
 
         for study in run_places(self.results.run, self.results.results_dir):
             if is_study(study):
-                write_study_page(study, self.episodes, Console())
+                write_study_page(study, self.episodes, Terminal())
                 return 0
         folder = self.results.find()
         replay_run(

@@ -101,6 +101,10 @@ class Train(Options):
                 )
         if self.env == "editor" and self.num_envs != 1:
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        try:
+            str(self.results_dir).encode()
+        except UnicodeEncodeError as error:
+            raise TrainerError(f"--results-dir {self.results_dir} is not UTF-8, as TensorBoard needs it.") from error
         if self.graphics and self.no_graphics:
             raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
         if self.algo == "ddpg" and self.resume:

@@ -10,7 +10,6 @@ from typing import Any
 from mlagents_envs.exception import UnityException, UnityTimeOutException, UnityWorkerInUseException
 from mlagents_envs.side_channel.side_channel import SideChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
-from rich.console import Console
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.protocol.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
@@ -28,6 +27,7 @@ from trainer.players.several import OpenPlayer, Players
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
 from trainer.signals import uninterrupted
+from trainer.terminal import Terminal
 
 
 def open_environment(
@@ -82,14 +82,11 @@ def open_environment(
     if file_name is not None:
         file_name = launch_path(file_name)
     if not is_loopback(host):
-        Console(stderr=True).print(
+        Terminal(stderr=True).print(
             f"Warning: listening on {authority(host, port)}, which other machines can reach. The ML-Agents protocol "
             "has no authentication and no encryption: whoever connects first is the player. Trust that network, or "
             "leave it.",
             style="yellow",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
         )
     if log_folder is not None:
         log_folder.mkdir(parents=True, exist_ok=True)

@@ -13,11 +13,11 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-from rich.console import Console
 
 from corridor_server.corridor.gym_env import CorridorEnv
 from corridor_server.protocol.given import Range, shown
 from trainer.errors import TrainerError
+from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.live import LiveEvaluations
 from trainer.viewer.scene import corridor_facts, state_row
@@ -29,7 +29,7 @@ FINITE = Range()
 SESSIONS = 16  # drives that are remembered; a new one ends the oldest
 
 
-def watch(results_dir: Path, port: int, console: Console) -> None:
+def watch(results_dir: Path, port: int, console: Terminal) -> None:
     """Serves the page until Ctrl-C.
 
     Args:
@@ -46,7 +46,7 @@ def watch(results_dir: Path, port: int, console: Console) -> None:
         raise TrainerError(f"Port {port} can't be opened ({error.strerror}); choose another with --port.") from error
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        console.print(f"Watching {results_dir}: open {server.address}", highlight=False, soft_wrap=True)
+        console.print(f"Watching {results_dir}: open {server.address}")
         console.print("Ctrl-C ends it; training goes on.")
         server.serve_forever()
     except KeyboardInterrupt:

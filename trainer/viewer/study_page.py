@@ -7,11 +7,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder, is_file
 from trainer.runs.trajectories import load_trajectories
+from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.scene import run_scene
 
@@ -24,7 +23,7 @@ def is_study(folder: Path) -> bool:
     return is_file(folder / CLAIMS)
 
 
-def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
+def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
     """Writes ``report.html`` into a study's folder, and ``replay.html`` into that of each of its evaluated runs.
 
     Args:
@@ -66,8 +65,8 @@ def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
     report = folder / "report.html"
     report.write_text(page({"mode": "study", "study": study}), encoding="utf-8")
     for note in notes:
-        console.print(note, highlight=False, soft_wrap=True)
-    console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
+        console.print(note)
+    console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)")
     return report
 
 
