@@ -5,6 +5,7 @@ import time
 
 import grpc
 
+from corridor_server.protocol.addresses import authority, resolve
 from corridor_server.protocol.messages import API_VERSION, EXCHANGE, MAX_MESSAGE_BYTES
 
 PARENT_SECONDS = 0.5
@@ -26,7 +27,7 @@ class ConnectionBroken(ConnectionFailed):
 
 
 class Connection:
-    """A channel to the trainer at ``host:port``, open until ``close``.
+    """A channel to the trainer at a host and port, open until ``close``.
 
     Args:
         host: Where the trainer listens.
@@ -43,7 +44,7 @@ class Connection:
         self, host: str, port: int, timeout_wait: float, timeout_reply: float, parent: int | None = None
     ) -> None:
         self._timeout_reply = timeout_reply
-        self._address = f"{host}:{port}"
+        self._address = authority(host, port)
         self._channel = grpc.insecure_channel(self._address, options=_OPTIONS)
         ready = grpc.channel_ready_future(self._channel)
         deadline = time.monotonic() + timeout_wait
@@ -57,6 +58,10 @@ class Connection:
                     raise ConnectionFailed(f"The process {parent}, which started this player, is gone.") from error
                 if time.monotonic() >= deadline:
                     self._channel.close()
+                    try:
+                        resolve(host)
+                    except ValueError as unknown:
+                        raise ConnectionFailed(f"{unknown} Give the trainer's host with --host.") from unknown
                     raise ConnectionFailed(
                         f"No trainer listens on {self._address} (waited {timeout_wait:g} s, ML-Agents API "
                         f"{API_VERSION}); start the trainer first, and give the player its port with --mlagents-port."

@@ -5,18 +5,23 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
-from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
 from corridor_server.decision_timing import TIMINGS
 from corridor_server.player import Player, PlayerError
+from corridor_server.protocol.addresses import LOOPBACK, PORTS, parse_host
+from corridor_server.protocol.given import Range, shown
 
 EDITOR_PORT = 5004
+SEEDS = Range(-(2**31), 2**31 - 1)  # what the protocol carries
+SECONDS = Range(0, 10**9)
+PIXELS = Range(1, 1024)
 logger = logging.getLogger("corridor_server")
 
 
@@ -93,7 +98,7 @@ def _start_log(path: str | None) -> None:
         handler = logging.StreamHandler(sys.stdout)
     else:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+        handler = logging.FileHandler(path, mode="w", encoding="utf-8", errors="backslashreplace")
     logging.raiseExceptions = False  # a full disk costs the log, not the run
     logging.basicConfig(
         level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", handlers=[handler], force=True
@@ -116,7 +121,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"%(prog)s {_package_version()}")
     unity = parser.add_argument_group("arguments that a trainer passes to any player")
     unity.add_argument(
-        "--mlagents-port", type=int, default=EDITOR_PORT, metavar="N", help="the trainer's port (default: %(default)s)"
+        "--mlagents-port",
+        type=_number(PORTS, whole=True),
+        default=EDITOR_PORT,
+        metavar="N",
+        help="the trainer's port (default: %(default)s)",
     )
     unity.add_argument(
         "-logFile", "-logfile", dest="log_file", metavar="PATH", help="log to this file; - is standard output"
@@ -124,22 +133,34 @@ def _parser() -> argparse.ArgumentParser:
     unity.add_argument("-nographics", action="store_true", help="accepted: there are no graphics")
     unity.add_argument("-batchmode", action="store_true", help="accepted: there is no window")
     own = parser.add_argument_group("the corridor's own")
-    own.add_argument("--host", default="localhost", help="the trainer's host (default: %(default)s)")
-    own.add_argument("--num-areas", type=_positive, metavar="N", help="areas, where the trainer asks for one or none")
-    own.add_argument("--seed", type=int, metavar="N", help="used instead of the trainer's seed")
+    own.add_argument("--host", type=_host, default=LOOPBACK, help="the trainer's host (default: %(default)s)")
+    own.add_argument(
+        "--num-areas",
+        type=_number(Range(1, MAX_AREAS), whole=True),
+        metavar="N",
+        help="areas, where the trainer asks for one or none",
+    )
+    own.add_argument("--seed", type=_number(SEEDS, whole=True), metavar="N", help="used instead of the trainer's seed")
     own.add_argument("--config", type=Path, metavar="FILE", help="the corridor's parameters, YAML or JSON")
     own.add_argument(
-        "--timeout-wait", type=float, default=60.0, metavar="S", help="seconds to wait for it (default: %(default)g)"
+        "--timeout-wait",
+        type=_number(SECONDS),
+        default=60.0,
+        metavar="S",
+        help="seconds to wait for it (default: %(default)g)",
     )
     own.add_argument(
         "--timeout-reply",
-        type=float,
+        type=_number(SECONDS),
         default=3600.0,
         metavar="S",
         help="and for each reply (default: %(default)g)",
     )
     own.add_argument(
-        "--parent", type=int, metavar="PID", help="the trainer that starts this player: not waited for once it is gone"
+        "--parent",
+        type=_number(Range(1, 2**31), whole=True),
+        metavar="PID",
+        help="the trainer that starts this player: not waited for once it is gone",
     )
     own.add_argument("--camera", type=_size, metavar="WIDTHxHEIGHT", help="add a top view as a visual observation")
     own.add_argument(
@@ -152,18 +173,28 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _number(allowed: Range, whole: bool = False) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        number = allowed.parse(text, whole)
+        if number is None:
+            raise argparse.ArgumentTypeError(f"it is {shown(text)}, but {allowed.expected(whole)}.")
+        return number
+
+    return parse
+
+
+def _host(text: str) -> str:
+    try:
+        return parse_host(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 1024 and 1 <= int(height) <= 1024):
-        raise argparse.ArgumentTypeError(f"{text!r} is no picture size; 1x1 to 1024x1024 was expected.")
+    width, height = (PIXELS.parse(number, whole=True) for number in text.partition("x")[::2])
+    if width is None or height is None:
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no picture size; 1x1 to 1024x1024 was expected.")
     return int(width), int(height)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} areas can't be served; give 1 or more.")
-    return value
 
 
 if __name__ == "__main__":

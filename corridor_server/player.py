@@ -5,7 +5,7 @@ from typing import Any
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
 from corridor_server.corridor.areas import Areas
-from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.messages import API_VERSION, QUIT
@@ -14,7 +14,6 @@ from corridor_server.protocol.side_channels import SideChannelError
 logger = logging.getLogger(__name__)
 
 FAREWELL_SECONDS = 1.0
-MAX_AREAS = 2**16
 
 
 class PlayerError(Exception):

@@ -5,8 +5,6 @@ import shlex
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import subcommand
 
 from trainer.commands.bench import Bench
@@ -19,6 +17,7 @@ from trainer.commands.train import Train
 from trainer.commands.watch import Watch
 from trainer.errors import TrainerError
 from trainer.signals import INTERRUPTED
+from trainer.terminal import Terminal
 
 ENV_ARGS = "--env-args"
 
@@ -40,7 +39,7 @@ def run_command(arguments: list[str]) -> int:
     if given:  # what follows is the player's, dashes and all, as with mlagents-learn
         at = arguments.index(ENV_ARGS)
         arguments, env_args = arguments[:at], arguments[at + 1 :]
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     try:
         command = tyro.cli(
             Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
@@ -54,7 +53,7 @@ def run_command(arguments: list[str]) -> int:
             )
         return command.run(shlex.join(["corridor", *arguments]))
     except TrainerError as error:
-        console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        console.print_failure("error:", str(error))
         return 1
     except KeyboardInterrupt:
         console.print("Stopped.")

@@ -1,12 +1,15 @@
 """Everything that decides a run: presets, hyperparameters, and the record that ``configuration.yaml`` keeps."""
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from trainer.corridor import CORRIDOR, DEFAULT_PENALTY
+from corridor_server.protocol.addresses import LOOPBACK, parse_host
+from corridor_server.protocol.given import Range, shown
+from trainer.corridor import CORRIDOR, DEFAULT_PENALTY, check_areas
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Port, Range, Seconds
+from trainer.options import Count, Options, Port, Seconds, Seed, Steps
 
 PAPER_STEPS = 1_500_000
 BASE_PORT = 5005  # mlagents-learn's
@@ -16,10 +19,27 @@ Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
 Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
 Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]
+Positive = Annotated[float, Range(0, 10**9)]
+Share = Annotated[float, Range(0, 1)]
+Ratio = Annotated[float, Range(0, 1000)]
+Units = Annotated[int, Range(1, 2**16)]
+NAME_BYTES = 200  # file systems have 255, of which some are for what is written beside it first
+
+
+def is_name(text: str) -> bool:
+    """Whether a text can be one file's or folder's name, wherever it is put: no path, not too long."""
+    return bool(re.fullmatch(r"[\w.+-]*\w[\w.+-]*", text)) and len(text.encode()) <= NAME_BYTES
+
+
+class Settings(Options):
+    """Base of what a run's ``configuration.yaml`` records, and is read back from."""
+
+    def _given(self, name: str, value: Any) -> str:
+        return f"The setting {name} is {shown(value)}"
 
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(Settings):
     """Hyperparameters of Stable-Baselines3's PPO (section III-A).
 
     Attributes:
@@ -39,24 +59,24 @@ class PPOConfig:
         log_std_init: Logarithm of the actions' standard deviation at the beginning.
     """
 
-    n_steps: int = 16
-    minibatches: int = 8
-    epochs: int = 4
-    learning_rate: float = 5e-4
+    n_steps: Count = 16
+    minibatches: Count = 8
+    epochs: Count = 4
+    learning_rate: Positive = 5e-4
     anneal: bool = True
-    gamma: float = 0.96
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    clip_range_vf: float = 0.2
-    ent_coef: float = 0.0
-    vf_coef: float = 0.5
-    max_grad_norm: float = 0.5
-    hidden_size: int = 64
+    gamma: Share = 0.96
+    gae_lambda: Share = 0.95
+    clip_range: Positive = 0.2
+    clip_range_vf: Positive = 0.2
+    ent_coef: Positive = 0.0
+    vf_coef: Positive = 0.5
+    max_grad_norm: Positive = 0.5
+    hidden_size: Units = 64
     log_std_init: float = -0.5
 
 
 @dataclass(frozen=True)
-class A2CConfig:
+class A2CConfig(Settings):
     """What A2C, the synchronous A3C (section III-A), has for itself; the rest is PPO's.
 
     Attributes:
@@ -64,12 +84,12 @@ class A2CConfig:
         learning_rate: RMSProp's, at the beginning.
     """
 
-    n_steps: int = 5
-    learning_rate: float = 7e-4
+    n_steps: Count = 5
+    learning_rate: Positive = 7e-4
 
 
 @dataclass(frozen=True)
-class TRPOConfig:
+class TRPOConfig(Settings):
     """What TRPO (section III-A) has for itself; the rest is PPO's, the steps in an update too.
 
     Attributes:
@@ -77,12 +97,12 @@ class TRPOConfig:
         target_kl: Bound on the divergence between old and new policy.
     """
 
-    learning_rate: float = 1e-3
-    target_kl: float = 0.01
+    learning_rate: Positive = 1e-3
+    target_kl: Positive = 0.01
 
 
 @dataclass(frozen=True)
-class DDPGConfig:
+class DDPGConfig(Settings):
     """What DDPG (section III-A) has for itself; gamma and network sizes are PPO's.
 
     Attributes:
@@ -95,17 +115,17 @@ class DDPGConfig:
         action_noise: Deviation of the Gaussian noise on actions.
     """
 
-    learning_rate: float = 1e-3
-    buffer_size: int = 1_000_000
-    learning_starts: int = 10_000
-    batch_size: int = 256
-    gradient_steps: int = 8
-    tau: float = 0.005
-    action_noise: float = 0.2
+    learning_rate: Positive = 1e-3
+    buffer_size: Count = 1_000_000
+    learning_starts: Annotated[int, Range(0)] = 10_000
+    batch_size: Count = 256
+    gradient_steps: Count = 8
+    tau: Share = 0.005
+    action_noise: Positive = 0.2
 
 
 @dataclass(frozen=True)
-class CuriosityConfig:
+class CuriosityConfig(Settings):
     """How curious the agent is, and how its curiosity learns (section III-B).
 
     Attributes:
@@ -124,17 +144,17 @@ class CuriosityConfig:
             next episode's first, as a Gym loop that looks only at the returned observation has it.
     """
 
-    c: float = 0.3
-    scale: float = 3.0
-    feature_size: int = 32
-    hidden_size: int = 64
-    learning_rate: float = 1e-3
-    encoder_rate: float = 0.01
-    minibatches: int = 8
-    forward_weight: float = 0.2
+    c: Ratio = 0.3
+    scale: Positive = 3.0
+    feature_size: Units = 32
+    hidden_size: Units = 64
+    learning_rate: Positive = 1e-3
+    encoder_rate: Positive = 0.01
+    minibatches: Count = 8
+    forward_weight: Share = 0.2
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
-    rnd_scale: float = 1.8
+    rnd_scale: Positive = 1.8
 
 
 OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
@@ -162,8 +182,14 @@ class EngineConfig(Options):
     target_frame_rate: Annotated[int, Range(-1, 10000)] = -1
     capture_frame_rate: Annotated[int, Range(0, 10000)] = 60
 
+    @classmethod
+    def recorded(cls, values: dict[str, Any]) -> "EngineConfig":
+        """The settings of a run; of before, it could have a time scale below 1, of which Unity made 1."""
+        scale = Range().read(values.get("time_scale"))
+        return cls(**({**values, "time_scale": 1.0} if scale is not None and scale < 1.0 else values))
+
     def _given(self, name: str, value: Any) -> str:
-        return f"The engine setting {name} is {value}"
+        return f"The engine setting {name} is {shown(value)}"
 
 
 @dataclass(frozen=True)
@@ -198,12 +224,24 @@ class PortOptions(WaitOptions):
 class ConnectionOptions(PortOptions):
     """Where players and trainer meet."""
 
-    listen: str = "localhost"
+    listen: str = LOOPBACK
     """Host to listen on for players; anything but loopback trusts the network."""
+
+    def __post_init__(self) -> None:
+        """Refuses values out of their range, and a host that is none.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        super().__post_init__()
+        try:
+            object.__setattr__(self, "listen", parse_host(self.listen))
+        except ValueError as error:
+            raise TrainerError(f"--listen can't be used: {error}") from error
 
 
 @dataclass(frozen=True)
-class RunConfig:
+class RunConfig(Settings):
     """One training run. With the same versions and machine, it decides every number of the run.
 
     Attributes:
@@ -228,21 +266,22 @@ class RunConfig:
         preset_parameters: Those of them that nobody gave: the preset's corridor, which is for a corridor alone.
 
     Raises:
-        TrainerError: The Unity editor would not take the time scale.
+        TrainerError: A setting is of another type or out of its range, the run id is no folder's name, or the player
+            would not take the time scale or the number of areas.
     """
 
     run_id: str
     env: str
     preset: PresetName
     algo: Algorithm
-    seed: int
-    penalty: float
-    steps: int
-    num_areas: int
+    seed: Seed
+    penalty: Ratio
+    steps: Steps
+    num_areas: Count
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
-    num_envs: int = 1
+    num_envs: Count = 1
     env_args: list[str] = dataclasses.field(default_factory=list)
     graphics: bool = False
     engine: EngineConfig = EngineConfig()
@@ -252,6 +291,14 @@ class RunConfig:
     preset_parameters: list[str] = dataclasses.field(default_factory=list, compare=False)  # it follows from the rest
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        if not is_name(self.run_id):
+            raise TrainerError(
+                f"The run id {shown(self.run_id)} can't name a folder; use letters, digits, and . _ + -, at most "
+                f"{NAME_BYTES} of them."
+            )
+        if self.env == "builtin":
+            check_areas(self.num_areas)
         if self.env == "editor" and self.engine.time_scale > EDITOR_TIME_SCALE:
             raise TrainerError(
                 f"--time-scale is {self.engine.time_scale:g}, but the Unity editor takes at most {EDITOR_TIME_SCALE}; "
@@ -273,11 +320,11 @@ class RunConfig:
 
         Raises:
             TypeError: A value is missing or unknown.
+            KeyError: The same.
+            TrainerError: A value is of another type, or out of its range.
         """
         ppo, curiosity = PPOConfig(**values["ppo"]), CuriosityConfig(**values["curiosity"])
-        recorded = values.get("engine", {})
-        # Runs of before could have a time scale below 1, of which Unity made 1.
-        engine = EngineConfig(**{**recorded, "time_scale": max(recorded.get("time_scale", 20.0), 1.0)})
+        engine = EngineConfig.recorded(values.get("engine", {}))
         kind = OTHERS.get(values["algo"])
         other = None if kind is None else kind(**values["other"])
         return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine, "other": other})

@@ -13,7 +13,7 @@ from mlagents_envs.base_env import BehaviorSpec
 
 from corridor_server.corridor import colours
 from corridor_server.corridor import observation as layout
-from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.protocol.samplers import Value
 from trainer.errors import TrainerError
@@ -80,6 +80,19 @@ def episode_info(statistics: dict[str, float]) -> dict[str, Any]:
     if SUCCESS in statistics:
         info["is_success"] = statistics[SUCCESS] > 0.5
     return info
+
+
+def check_areas(count: int) -> None:
+    """Refuses more areas than our player has.
+
+    Raises:
+        TrainerError: There are more.
+    """
+    if count > MAX_AREAS:
+        raise TrainerError(
+            f"--num-areas is {count}, but the built-in player has at most {MAX_AREAS}; take several players with "
+            "--num-envs."
+        )
 
 
 def check_parameter(name: str, value: Value) -> None:

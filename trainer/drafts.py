@@ -10,10 +10,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
-from rich.console import Console
 
 from trainer.errors import TrainerError
 from trainer.signals import deferred
+from trainer.terminal import Terminal
 
 WITHIN = ".~new"  # inside a folder that stays: it may be a mount, into which nothing can be renamed
 
@@ -140,11 +140,8 @@ def _acquire(folder: Path, lock: FileLock, made: list[Path]) -> None:
         except FileNotFoundError:  # another command has just removed the parent again that it had made
             continue
         except OSError as error:
-            Console(stderr=True).print(
+            Terminal(stderr=True).print(
                 f"Warning: {folder} can't be locked ({error.strerror}); see to it that no other command writes to it.",
                 style="yellow",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
             )
             return

@@ -13,18 +13,18 @@ Both may stand in a YAML file, in the sections and forms that ``mlagents-learn``
           max_value: 3
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-import yaml
-
-from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
+from corridor_server.protocol.given import FLOAT32, Range, read_mapping, shown
+from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Sampler, Uniform, Value
 from trainer.config import EngineConfig
 from trainer.corridor import PENALTY, check_parameter
 from trainer.errors import TrainerError
 
+NUMBER = Range(-FLOAT32, FLOAT32)  # as a side channel carries it
+NAME_LENGTH = 255
 SECTIONS = ("engine_settings", "environment_parameters")
 SAMPLERS = {
     "uniform": ("min_value", "max_value"),
@@ -42,23 +42,19 @@ def read_settings(path: Path | None) -> tuple[dict[str, Any], dict[str, Any]]:
     if path is None:
         return {}, {}
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrainerError(f"{path} can't be read ({error}); give a YAML file with --config.") from error
-    except yaml.YAMLError as error:
-        raise TrainerError(f"{path} is not YAML ({' '.join(str(error).split())}).") from error
-    expected = f"the sections {' and '.join(SECTIONS)} were expected"
-    if not isinstance(values, dict):
-        raise TrainerError(f"{path} holds a {type(values).__name__}, but {expected}.")
+        values = read_mapping(path)
+    except ValueError as error:
+        raise TrainerError(f"{error} --config is a YAML file with the sections {' and '.join(SECTIONS)}.") from error
     for section, content in values.items():
         if section not in SECTIONS:
             raise TrainerError(
-                f"{path} has the section {section!r}, but {expected}; everything else is an option of corridor train."
+                f"{path} has the section {shown(section)}, but the sections {' and '.join(SECTIONS)} were expected; "
+                "everything else is an option of corridor train."
             )
-        if not isinstance(content, dict):
-            raise TrainerError(f"{section} in {path} is {content!r}, but lines 'name: value' were expected.")
+        if not isinstance(content, dict) or not all(isinstance(name, str) for name in content):
+            raise TrainerError(f"{section} in {path} is {shown(content)}, but lines 'name: value' were expected.")
     engine, parameters = (values.get(section, {}) for section in SECTIONS)
-    return engine, {str(name): value for name, value in parameters.items()}
+    return engine, parameters
 
 
 def engine_config(values: Mapping[str, Any]) -> EngineConfig:
@@ -70,9 +66,8 @@ def engine_config(values: Mapping[str, Any]) -> EngineConfig:
     types = get_type_hints(EngineConfig)
     for name in values:
         if name not in types:
-            raise TrainerError(f"{name!r} is no engine setting; known ones are {', '.join(types)}.")
-    EngineConfig(**values)  # refuses what is not a number in the setting's range
-    return EngineConfig(**{name: types[name](value) for name, value in values.items()})
+            raise TrainerError(f"{shown(name)} is no engine setting; known ones are {', '.join(types)}.")
+    return EngineConfig(**values)
 
 
 def environment_parameters(texts: Sequence[str], from_file: Mapping[str, Any], env_is_ours: bool) -> dict[str, Any]:
@@ -83,13 +78,11 @@ def environment_parameters(texts: Sequence[str], from_file: Mapping[str, Any], e
     """
     parameters = dict(from_file)
     for text in texts:
-        name, equals, number = text.partition("=")
-        try:
-            parameters[name] = float(number)
-        except ValueError:
-            equals = ""
-        if not name or not equals:
+        name, equals, typed = text.partition("=")
+        number = NUMBER.parse(typed)
+        if not name or not equals or number is None:
             raise TrainerError(f"--env-param {text} is not of the form NAME=NUMBER, such as opponent_speed=1.5.")
+        parameters[name] = number
     if PENALTY in parameters:
         raise TrainerError(f"The environment parameter {PENALTY} is set by --penalty; take it out.")
     for name, value in parameters.items():
@@ -110,18 +103,43 @@ def parse_parameter(name: str, value: Any, seed: int) -> Value:
     Raises:
         TrainerError: The value has neither form.
     """
-    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-        return float(value)
+    if not name.isascii() or not name.isprintable() or len(name) > NAME_LENGTH:
+        raise TrainerError(
+            f"The environment parameter {shown(name)} can't be sent; give it a name of at most {NAME_LENGTH} ASCII "
+            "characters."
+        )
+    number = NUMBER.read(value)
+    if number is not None:
+        return number
     try:
-        kind, given = value["sampler_type"], value["sampler_parameters"]
-        numbers = [given[each] for each in SAMPLERS[kind]]
-        if kind == "multirangeuniform":
-            return MultiRangeUniform(seed, tuple((float(low), float(high)) for low, high in numbers[0]))
-        first, second = map(float, numbers)
+        return _sampler(value, seed)
     except (KeyError, TypeError, ValueError) as error:
         forms = "; ".join(f"{kind} with {', '.join(names)}" for kind, names in SAMPLERS.items())
         raise TrainerError(
-            f"The environment parameter {name} is {value!r}, but a number was expected, or a sampler_type with its "
-            f"sampler_parameters: {forms}."
+            f"The environment parameter {name} is {shown(value)}, but a number was expected, or a sampler_type with "
+            f"its sampler_parameters: {forms}."
         ) from error
+
+
+def _sampler(value: Any, seed: int) -> Sampler:
+    """The sampler that a value describes; KeyError, TypeError or ValueError if it has another form."""
+    kind, given = value["sampler_type"], value["sampler_parameters"]
+    if len(value) > 2 or set(given) != set(SAMPLERS[kind]):
+        raise ValueError
+    numbers = [given[each] for each in SAMPLERS[kind]]
+    if kind == "multirangeuniform":
+        pairs = [(_finite(low), _finite(high)) for low, high in numbers[0]]
+        if not pairs:
+            raise ValueError
+        return MultiRangeUniform(seed, tuple(pairs))
+    first, second = map(_finite, numbers)
+    if kind == "gaussian" and second < 0.0:
+        raise ValueError
     return Uniform(seed, first, second) if kind == "uniform" else Gaussian(seed, first, second)
+
+
+def _finite(value: object) -> float:
+    number = NUMBER.read(value)
+    if number is None:
+        raise ValueError
+    return number

@@ -1,14 +1,17 @@
 """The corridor's numbers: one frozen dataclass from which validation, side-channel names and docs derive."""
 
 import difflib
-import math
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from corridor_server.corridor import observation as layout
+import numpy as np
 
+from corridor_server.corridor import observation as layout
+from corridor_server.protocol import given
+
+MAX_AREAS = 2**16  # of one player
 Range = tuple[float, float]
 
 
@@ -92,9 +95,9 @@ class CorridorConfig:
         known = [parameter.name for parameter in fields(cls)]
         for name in values:
             if name not in known:
-                near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.4)
+                near = difflib.get_close_matches(given.shown(name), known, n=1, cutoff=0.4)
                 hint = f"did you mean '{near[0]}'?" if near else f"known ones are {', '.join(known)}."
-                raise ValueError(f"'{name}' is not a parameter of the corridor; {hint}")
+                raise ValueError(f"{given.shown(name)} is not a parameter of the corridor; {hint}")
         return cls(**values)
 
     @classmethod
@@ -104,61 +107,30 @@ class CorridorConfig:
         Raises:
             ValueError: The file can't be read or parsed, or its contents are not accepted.
         """
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"The config file {path} can't be read ({error}); check its path and encoding.") from error
-        values = _parse(text, path)
-        if not isinstance(values, dict):
-            raise ValueError(f"{path} holds {type(values).__name__}, but names and values were expected.")
+        values = given.read_mapping(path)
         try:
             return cls.from_mapping(values)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
 
-def _parse(text: str, path: Path) -> object:
-    import json
-
-    try:
-        import yaml
-    except ImportError:  # the player alone has no PyYAML; JSON is the part of YAML that needs none
-        try:
-            return json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{path} is not JSON ({error}); to read YAML, install PyYAML.") from error
-    try:
-        return yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not YAML ({' '.join(str(error).split())}); write lines 'name: value'.") from error
-
-
 def _checked(parameter: "Field[Any]", value: Any) -> float | int | Range:
     """Returns the value in its field's type, or raises a ValueError that says what was expected."""
     low, high = parameter.metadata["range"]
-    expected = f"a number from {low:g} to {high:g}"
-    if parameter.type is int:
-        expected = f"a whole number from {low:g} to {high:g}"
-        if _is_number(value) and value == int(value) and low <= value <= high:
-            return int(value)
-    elif parameter.type is float:
-        if _is_number(value) and low <= value <= high:
-            return float(value)
+    allowed, whole = given.Range(low, high), parameter.type is int
+    if parameter.type is not Range:
+        number = allowed.read(value, whole)
+        if number is not None:
+            return number
+        expected = allowed.described(whole)
     else:
         expected = f"two numbers [low, high] from {low:g} to {high:g}"
-        if (
-            isinstance(value, list | tuple)
-            and len(value) == 2
-            and all(_is_number(end) for end in value)
-            and low <= value[0] <= value[1] <= high
-        ):
-            return float(value[0]), float(value[1])
+        pair = value.tolist() if isinstance(value, np.ndarray) else value
+        ends = [allowed.read(end) for end in pair] if isinstance(pair, list | tuple) else []
+        if len(ends) == 2 and ends[0] is not None and ends[1] is not None and ends[0] <= ends[1]:
+            return ends[0], ends[1]
     unit = f" {parameter.metadata['unit']}" if parameter.metadata["unit"] else ""
-    raise ValueError(f"{parameter.name} is {value!r}, but {expected}{unit} was expected.")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    raise ValueError(f"{parameter.name} is {given.shown(value)}, but {expected}{unit} was expected.")
 
 
 def settable_parameters() -> dict[str, Range]:

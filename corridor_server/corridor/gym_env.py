@@ -12,7 +12,9 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.corridor.streams import area_generator
+from corridor_server.protocol.given import Range, shown
 
+AREAS = Range(0, 2**31 - 1)
 Observation = NDArray[np.float32]
 
 
@@ -97,13 +99,16 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, render_mode: str | None = None, area: int = 0, **parameters: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode is {render_mode!r}, but None or 'rgb_array' was expected.")
+            raise ValueError(f"render_mode is {shown(render_mode)}, but None or 'rgb_array' was expected.")
+        number = AREAS.read(area, whole=True)
+        if number is None:
+            raise ValueError(f"area is {shown(area)}, but {AREAS.expected(whole=True)}.")
         self.render_mode = render_mode
         self.config = CorridorConfig.from_mapping(parameters)
         self.observation_space = spaces.Box(-np.inf, np.inf, (self.config.observation_size,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (world.ACTION_SIZE,), np.float32)
-        self._area = area
-        self._p = EpisodeParameters(self.config, (area,)).columns
+        self._area = int(number)
+        self._p = EpisodeParameters(self.config, (self._area,)).columns
         self._state: world.State | None = None
         self._needs_reset = True
 
@@ -133,10 +138,13 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         if self._state is None or self._needs_reset:
             raise gymnasium.error.ResetNeeded("The episode is over or never began; call reset() before step().")
-        numbers = np.asarray(action, dtype=np.float32)
+        try:
+            numbers = np.asarray(action, dtype=np.float32)
+        except (TypeError, ValueError, OverflowError):
+            numbers = np.empty(0, np.float32)
         if numbers.shape != (world.ACTION_SIZE,) or not np.isfinite(numbers).all():
             raise ValueError(
-                f"The action is {action!r}, but {world.ACTION_SIZE} finite numbers in [-1, 1] were expected."
+                f"The action is {shown(action)}, but {world.ACTION_SIZE} finite numbers in [-1, 1] were expected."
             )
         self._state, outcome = world.step(self._p, self._state, numbers[None].astype(np.float64))
         info: dict[str, Any] = {}

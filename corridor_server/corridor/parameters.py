@@ -9,6 +9,7 @@ import numpy as np
 from corridor_server.corridor.arrays import Floats
 from corridor_server.corridor.corridor_config import CorridorConfig, settable_parameters
 from corridor_server.corridor.streams import Streams
+from corridor_server.protocol.given import shown
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
 
 SETTABLE = settable_parameters()
@@ -50,12 +51,15 @@ class EpisodeParameters:
         """
         limits = SETTABLE.get(name)
         if limits is None:
-            near = difflib.get_close_matches(name, SETTABLE, n=1, cutoff=0.0)[0]
+            near = difflib.get_close_matches(name[:100], SETTABLE, n=1, cutoff=0.0)[0]
             low, high = SETTABLE[near]
             raise ValueError(
-                f"{name!r} is not an environment parameter of the corridor; the nearest is {near}, {low:g} to {high:g}."
+                f"{shown(name)} is not an environment parameter of the corridor; the nearest is {near}, {low:g} to "
+                f"{high:g}."
             )
         low, high = limits
+        if isinstance(value, Gaussian) and not 0.0 <= value.standard_deviation < math.inf:
+            raise ValueError(f"{name} has st_dev {value.standard_deviation:g}, but a number from 0 up was expected.")
         for extreme in _extremes(value):
             if not low <= extreme <= high:  # also refuses NaN
                 raise ValueError(f"{name} = {extreme:g} is out of its range, {low:g} to {high:g}.")

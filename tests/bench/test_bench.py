@@ -6,12 +6,12 @@ import json
 import sys
 
 import pytest
-from rich.console import Console
 
 from trainer.bench.measure import run_bench
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
 from trainer.bench.workload import Workload
 from trainer.errors import TrainerError
+from trainer.terminal import Terminal
 
 SMALL = Workload(
     areas=(1, 8),
@@ -47,7 +47,7 @@ def test_a_program_that_ends_at_once_is_named():
 
 @pytest.mark.slow
 def test_every_figure_is_there(tmp_path, free_port):
-    console = Console(record=True, width=160)
+    console = Terminal(record=True, width=160)
     run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console, SMALL)
     report = json.loads((tmp_path / "speed.json").read_text())
     assert [row["areas"] for row in report["exchange"]] == [1, 8]

@@ -10,6 +10,7 @@ from typing import Annotated
 import pytest
 import tyro
 
+from corridor_server.protocol.given import Range
 from trainer.commands.evaluate import Evaluate
 from trainer.commands.replay import Replay
 from trainer.commands.shared_options import ExistingRun
@@ -17,7 +18,7 @@ from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, EngineConfig, PortOptions, RestartLimits
 from trainer.errors import TrainerError
 from trainer.main import main
-from trainer.options import Count, Options, Port, Range, Seconds, Seed
+from trainer.options import Count, Options, Port, Seconds, Seed
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,13 @@ class Example(Options):
         ({"at_a_time": 0}, "--at-a-time is 0, but a whole number from 1 up was expected."),
         ({"ratio": 1000.5}, "--ratio is 1000.5, but a number from 0 to 1000 was expected."),
         ({"ratio": math.nan}, "--ratio is nan, but a number from 0 to 1000 was expected."),
+        ({"wait": math.inf}, "--wait is inf, but seconds above 0 were expected."),
+        ({"wait": 2e9}, "--wait is 2e+09, but at most 1,000,000,000 seconds were expected."),
+        (
+            {"steps": 10**401},
+            "--steps is an integer of more than 40 digits, but a whole number from 1 up was expected.",
+        ),
+        ({"steps": True}, "--steps is True, but a whole number from 1 up was expected."),
         ({"wait": 0.0}, "--wait is 0, but seconds above 0 were expected."),
         ({"port": 0}, "--port is 0, but a whole number from 1 up was expected."),
         ({"port": 65536}, "--port is 65536, but ports end at 65535."),
@@ -55,7 +63,7 @@ def test_a_value_out_of_its_range_is_refused_when_the_options_are_made(option, s
 
 def test_values_at_the_ends_of_their_range_are_taken():
     Example(ratio=0.0, wait=1e-9, port=1)
-    Example(ratio=1000.0, wait=math.inf, port=65535, seed=2**31 - 1)
+    Example(ratio=1000.0, wait=1e9, port=65535, seed=2**31 - 1)
 
 
 def test_an_option_that_must_be_whole_takes_no_fraction():

@@ -39,7 +39,7 @@ def test_a_file_sets_parameters(tmp_path, name):
     ("text", "says"),
     [
         ("agent_spead: 3", "did you mean 'agent_speed'?"),
-        ("- 1\n- 2", "holds list, but names and values were expected"),
+        ("- 1\n- 2", "holds [1, 2], but names and values were expected"),
         ("a: [", "is not YAML"),
     ],
 )

@@ -86,14 +86,17 @@ def test_our_player_takes_them(open_corridor, tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[1, 2]", "holds a list, but the sections engine_settings and environment_parameters were expected"),
+        (
+            "[1, 2]",
+            r"holds \[1, 2\], but names and values were expected. --config is a YAML file with the sections engine_set",
+        ),
         ("a: [", "is not YAML"),
         ("behaviors: {Corridor: {}}", "has the section 'behaviors', .* an option of corridor train"),
         ("engine_settings: 5", "engine_settings in .* is 5, but lines 'name: value' were expected"),
         ("engine_settings: {speed: 5}", "'speed' is no engine setting; known ones are width, height"),
         ("engine_settings: {time_scale: 0}", "time_scale is 0, but a number from 1 to 1000 was expected"),
         ("engine_settings: {width: 84.5}", "width is 84.5, but a whole number from 1 to 16384 was expected"),
-        ("engine_settings: {width: wide}", "width is wide"),
+        ("engine_settings: {width: wide}", "width is 'wide', but a whole number from 1 to 16384 was expected"),
         ("engine_settings: {width: true}", "width is True, but a whole number"),
         ("engine_settings: {width: }", "width is None, but a whole number"),
         ("environment_parameters: {goal_x: far}", "goal_x is 'far', but a number was expected, or a sampler_type"),

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from conftest import BIN
 from recorded_run import begun_run
-from rich.console import Console
 
 from trainer.config import PRESETS
 from trainer.main import main
@@ -20,6 +19,7 @@ from trainer.studies.conduct import run_study
 from trainer.studies.executors import Attempt, LocalExecutor, Task
 from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, STUDIES, Arm, Study
 from trainer.studies.store import Store
+from trainer.terminal import Terminal
 
 SHORT = ("--seeds", 1, "--steps", 12_000, "--eval-episodes", 4)
 
@@ -150,7 +150,7 @@ def test_a_failing_run_is_reported_with_its_log_and_the_study_goes_on(tmp_path):
         episodes=2,
         timeout_wait=30,
         command="corridor study mixed",
-        console=Console(file=output, width=120),
+        console=Terminal(file=output, width=120),
     )
     assert not finished
     log = tmp_path / "mixed" / "broken-seed0" / "run_logs" / "train.log"

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from PIL import Image
 from recorded_run import recorded_run
-from rich.console import Console
 
 from trainer.errors import TrainerError
 from trainer.main import main
+from trainer.terminal import Terminal
 from trainer.viewer.study_page import write_study_page
 
 CLAIMS = [
@@ -54,4 +54,4 @@ def test_a_studys_runs_are_one_click_from_their_replay(study, open_page):
 def test_a_broken_study_is_one_sentence(study):
     (study / "claims.json").write_text('{"claims": []}')
     with pytest.raises(TrainerError, match="claims.json is broken"):
-        write_study_page(study, 3, Console())
+        write_study_page(study, 3, Terminal())

@@ -5,15 +5,15 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.table import Table
 
 from trainer.bench.exchange_rates import OTHERS
 from trainer.corridor import LEARNER_COLOUR, OPPONENT_COLOUR, WALL_COLOUR
 from trainer.files import whole_file
+from trainer.terminal import Terminal
 
 
-def print_report(report: dict[str, Any], console: Console) -> None:
+def print_report(report: dict[str, Any], console: Terminal) -> None:
     """Prints everything that was measured."""
     table = Table("areas", "ours", "0.28.0", "official", "limit", "echo", box=None)
     for row in report["exchange"]:
@@ -24,7 +24,7 @@ def print_report(report: dict[str, Any], console: Console) -> None:
         "Exchange, agent steps per second (in brackets: how many times as fast ours is). limit: the player against a "
         "trainer that answers at once, unread. echo: bare round trips per second with as many bytes (ours: exchanges)."
     )
-    console.print(table)
+    console.print(table, soft_wrap=False)
     for row in report["world"]:
         console.print(f"world in process, {row['areas']:>5,} areas: {row['steps_per_second']:>12,.0f} steps/s")
     for row in report["train"]:

@@ -12,14 +12,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from trainer.bench.bench_report import plot_report, print_report
 from trainer.bench.exchange_rates import exchange_rates, world_rate
 from trainer.bench.footprint import memory_megabytes, startup_seconds
 from trainer.bench.training_rates import player_rates, preset_rates
 from trainer.bench.workload import FULL, Workload
 from trainer.files import write_whole
+from trainer.terminal import Terminal
 
 PACKAGES = ("curious-corridor", "mlagents-envs", "grpcio", "protobuf", "numpy", "torch", "stable-baselines3")
 
@@ -29,7 +28,7 @@ def run_bench(
     plot: Path | None,
     official: str | None,
     port: int,
-    console: Console,
+    console: Terminal,
     workload: Workload = FULL,
 ) -> None:
     """Measures everything, prints tables, and writes the JSON and the plot if asked to.

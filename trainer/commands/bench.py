@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from trainer.config import BASE_PORT
 from trainer.options import Options, Port
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -26,5 +25,5 @@ class Bench(Options):
         """Measures."""
         from trainer.bench.measure import run_bench
 
-        run_bench(self.json, self.plot, self.official, self.base_port, Console())
+        run_bench(self.json, self.plot, self.official, self.base_port, Terminal())
         return 0

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from rich.console import Console
-
 from trainer.options import Options, Seconds
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -22,4 +21,4 @@ class Check(Options):
         """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""
         from trainer.conformance.checker import check_player
 
-        return 0 if check_player(self.env, self.timeout_wait, self.strict, Console()) else 1
+        return 0 if check_player(self.env, self.timeout_wait, self.strict, Terminal()) else 1

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from trainer.commands.shared_options import ExistingRun
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -23,5 +22,5 @@ class Export:
         from trainer.runs.onnx_file import export_run
 
         export_run(config, folder, self.onnx)
-        Console().print(f"Wrote {self.onnx}", highlight=False, soft_wrap=True)
+        Terminal().print(f"Wrote {self.onnx}")
         return 0

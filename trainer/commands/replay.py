@@ -1,14 +1,12 @@
 """``corridor replay``."""
 
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-
-from rich.console import Console
 
 from trainer.commands.shared_options import Episodes, ExistingRun
 from trainer.config import ConnectionOptions, PortOptions
 from trainer.errors import TrainerError
 from trainer.options import Options
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -28,17 +26,18 @@ class Replay(Options):
     def run(self, typed: str) -> int:
         """Writes the pages."""
         from trainer.drafts import only_writer
+        from trainer.runs.folder import run_places
         from trainer.viewer.replay_files import replay_run
         from trainer.viewer.study_page import is_study, write_study_page
 
-        for study in (self.results.results_dir / self.results.run, Path(self.results.run)):
+        for study in run_places(self.results.run, self.results.results_dir):
             if is_study(study):
                 if self.checkpoint is not None:
                     raise TrainerError(
                         f"--checkpoint {self.checkpoint} is a run's, but {study} is a study; replay one of its runs."
                     )
                 with only_writer(study):
-                    write_study_page(study, self.episodes, Console())
+                    write_study_page(study, self.episodes, Terminal())
                 return 0
         folder = self.results.find()
         with only_writer(folder.path) as draft:

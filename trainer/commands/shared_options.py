@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from corridor_server.protocol.given import Range
 from trainer.config import PAPER_STEPS, PresetName
-from trainer.options import Count, Options, Range
+from trainer.options import Count, Options
 
 if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
-from rich.console import Console
 
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, TrainingOptions
 from trainer.config import ExecutorName, WaitOptions
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Range
+from trainer.options import Count, Options
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class StudyOptions(Options):
                 episodes=self.training.eval_episodes,
                 timeout_wait=self.connection.timeout_wait,
                 command=typed,
-                console=Console(),
+                console=Terminal(),
             )
         return 0 if finished else 1
 
@@ -145,7 +146,7 @@ class Generalise(Options):
                 episodes=self.episodes,
                 timeout_wait=self.connection.timeout_wait,
                 command=typed,
-                console=Console(),
+                console=Terminal(),
             )
         return 0
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypedDict, cast, get_type_hints
 
 import tyro
 
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir, TrainingOptions
 from trainer.config import (
     PRESETS,
@@ -20,7 +21,7 @@ from trainer.config import (
 )
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Range, Seed
+from trainer.options import Count, Options, Seed
 from trainer.signals import INTERRUPTED
 
 
@@ -100,6 +101,10 @@ class Train(Options):
                 )
         if self.env == "editor" and self.num_envs != 1:
             raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        try:
+            str(self.results_dir).encode()
+        except UnicodeEncodeError as error:
+            raise TrainerError(f"--results-dir {self.results_dir} is not UTF-8, as TensorBoard needs it.") from error
         if self.graphics and self.no_graphics:
             raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
         if self.c == 0 and self.intrinsic != "icm":

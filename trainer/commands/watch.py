@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from rich.console import Console
-
+from corridor_server.protocol.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir
-from trainer.options import Options, Range
+from trainer.options import Options
+from trainer.terminal import Terminal
 
 
 @dataclass(frozen=True)
@@ -21,5 +21,5 @@ class Watch(Options):
         """Serves the page until Ctrl-C."""
         from trainer.viewer.page_server import watch
 
-        watch(self.results_dir, self.port, Console())
+        watch(self.results_dir, self.port, Terminal())
         return 0

@@ -6,18 +6,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from corridor_server.protocol.addresses import PortInUse, authority, free_addresses
 from trainer.conformance import TOPICS, CorridorContract
 from trainer.conformance.suite import Conformance, is_strict
 from trainer.conformance.verdicts import NotApplicable
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
 from trainer.players.location import launch_path, place
+from trainer.terminal import Terminal
 
-MARKS = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "not applicable": "[dim]n/a[/]"}
+MARKS = {"pass": Text("pass", "green"), "fail": Text("fail", "bold red"), "not applicable": Text("n/a", "dim")}
 NOT_COUNTED = " (more than Unity's runtime keeps, so no part of the exit code)"
 Verdict = Literal["pass", "fail", "not applicable"]
 Start = Callable[..., "subprocess.Popen[bytes] | None"]
@@ -89,7 +90,7 @@ def check(
     return passed
 
 
-def check_player(env: str, timeout: float, strict: bool, console: Console) -> bool:
+def check_player(env: str, timeout: float, strict: bool, console: Terminal) -> bool:
     """Runs the kit on a player and prints a table for each part: the protocol, for a Corridor its contract, strict.
 
     Args:
@@ -107,7 +108,11 @@ def check_player(env: str, timeout: float, strict: bool, console: Console) -> bo
     file_name, host, port = place(env, 0)
     launch = None if file_name is None else launch_path(file_name)
     if launch is None:
-        console.print(f"Start the player now, and again whenever it ends: it is awaited on {host}:{port}.")
+        try:
+            free_addresses(host, port)
+        except (PortInUse, ValueError) as error:
+            raise TrainerError(str(error)) from error
+        console.print(f"Start the player now, and again whenever it ends: it is awaited on {authority(host, port)}.")
 
     def start(trainer_port: int, *arguments: str) -> "subprocess.Popen[bytes] | None":
         if launch is None:
@@ -140,21 +145,21 @@ def check_player(env: str, timeout: float, strict: bool, console: Console) -> bo
     for part, results in parts.items():
         counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in MARKS}
         said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        console.print(f"{part}: {said}{NOT_COUNTED if part == 'strict' else ''}", highlight=False)
+        console.print(f"{part}: {said}{NOT_COUNTED if part == 'strict' else ''}")
     if not is_a_corridor:
-        console.print("No behavior is called Corridor, so the corridor's contract was not checked.", highlight=False)
+        console.print("No behavior is called Corridor, so the corridor's contract was not checked.")
     return passed
 
 
-def _print(console: Console, title: str, results: Iterable[Result]) -> None:
+def _print(console: Terminal, title: str, results: Iterable[Result]) -> None:
     table = Table("", "sentence", "seen", title=title, title_justify="left")
     topic = ""
     for result in results:
         if result.topic != topic:
             topic = result.topic
-            table.add_row("", f"[bold]{topic}[/]", "")
-        table.add_row(MARKS[result.verdict], result.sentence, escape(result.detail))
-    console.print(table)
+            table.add_row("", Text(topic, "bold"), "")
+        table.add_row(MARKS[result.verdict], result.sentence, result.detail)
+    console.print(table, soft_wrap=False)
 
 
 def _behaviors(start: Start, hooks: dict[str, object]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import grpc
 
+from corridor_server.protocol.addresses import authority, free_addresses
 from corridor_server.protocol.messages import API_VERSION, RESET, SERVICE, UnityMessageProto
 from corridor_server.protocol.trainer_messages import command, initialization, step
 
@@ -32,7 +33,8 @@ class RawTrainer:
         self._server = grpc.server(ThreadPoolExecutor(max_workers=4), options=[("grpc.so_reuseport", 0)])
         exchange = grpc.unary_unary_rpc_method_handler(self._answer)  # bytes in, bytes out
         self._server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": exchange})])
-        self.port: int = self._server.add_insecure_port(f"{host}:{port}")
+        for address in free_addresses(host, port) if port else [host]:
+            self.port: int = self._server.add_insecure_port(authority(address, port))
         self._server.start()
 
     def __enter__(self) -> "RawTrainer":

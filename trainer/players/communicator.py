@@ -5,8 +5,6 @@ loopback by default, instead of everywhere; messages pass between threads withou
 connection breaks is noticed at once.
 """
 
-import errno
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -25,6 +23,7 @@ from mlagents_envs.exception import (
     UnityWorkerInUseException,
 )
 
+from corridor_server.protocol.addresses import LOOPBACK, PortInUse, authority, free_addresses
 from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto
 from corridor_server.protocol.trainer_messages import stopping, trainer_message
 from corridor_server.protocol.wire_bytes import HEADER_OK
@@ -53,7 +52,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         UnityWorkerInUseException: The port is taken.
     """
 
-    def __init__(self, worker_id: int, base_port: int, timeout_wait: float, host: str = "localhost") -> None:
+    def __init__(self, worker_id: int, base_port: int, timeout_wait: float, host: str = LOOPBACK) -> None:
         super().__init__(worker_id, base_port)
         self.end_announced = False
         self._timeout_wait = timeout_wait
@@ -69,7 +68,12 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
             raise
 
     def _serve(self, worker_id: int, host: str, port: int) -> grpc.Server:
-        _check_port(worker_id, host, port)
+        try:
+            addresses = free_addresses(host, port)
+        except PortInUse as error:
+            raise UnityWorkerInUseException(worker_id) from error
+        except ValueError as error:
+            raise UnityCommunicationException(str(error)) from error
         server = grpc.server(
             self._pool,
             options=[("grpc.so_reuseport", 0), ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES)],
@@ -78,7 +82,8 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, {"Exchange": exchange})])
         with deferred():  # a server that is dropped while it starts waits for its own end forever
             try:
-                server.add_insecure_port(f"{host}:{port}")
+                for address in addresses:
+                    server.add_insecure_port(authority(address, port))
             except RuntimeError as error:
                 raise UnityWorkerInUseException(worker_id) from error
             server.start()
@@ -233,22 +238,3 @@ def _wait_for_exit(poll_callback: PollCallback | None) -> None:
     while poll_callback is not None and time.monotonic() < deadline:
         poll_callback()
         time.sleep(0.02)
-
-
-def _check_port(worker_id: int, host: str, port: int) -> None:
-    """GRPC is content when one of a host's addresses is free; a player may dial any of them."""
-    try:
-        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except OSError as error:
-        raise UnityCommunicationException(f"The host {host!r} to listen on is not known ({error}).") from error
-    for family, kind, protocol, _, address in addresses:
-        try:
-            with socket.socket(family, kind, protocol) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                if family == socket.AF_INET6:
-                    probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                probe.bind(address)
-        except OSError as error:
-            if error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-                continue  # a name's address of a family that this machine doesn't use
-            raise UnityWorkerInUseException(worker_id) from error

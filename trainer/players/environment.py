@@ -8,12 +8,12 @@ from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityObservationException
 
+from corridor_server.protocol.addresses import LOOPBACK
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
 from trainer.players import steps as mlagents_steps
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
-from trainer.players.location import LOOPBACK
 
 
 class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has no type information

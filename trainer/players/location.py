@@ -1,6 +1,5 @@
 """Where a player is: which program is launched, or on which address one is awaited."""
 
-import ipaddress
 import os
 import platform
 import shutil
@@ -10,10 +9,11 @@ from pathlib import Path
 from mlagents_envs import env_utils
 from mlagents_envs.environment import UnityEnvironment
 
+from corridor_server.protocol.addresses import LOOPBACK, parse_address, parse_host
+from corridor_server.protocol.given import shown
 from trainer.errors import TrainerError
 
 BUILTIN, EDITOR = "builtin", "editor"
-LOOPBACK = "localhost"
 FOREIGN = {".exe": "Windows", ".app": "macOS", ".x86_64": "Linux", ".x86": "Linux"}
 
 
@@ -22,24 +22,22 @@ def can_be_launched(env: str) -> bool:
     return place(env, 0)[0] is not None
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can connect to what listens on a host."""
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host == LOOPBACK
-
-
 def place(env: str, port: int, listen: str = LOOPBACK) -> tuple[str | None, str, int]:
-    """Executable (None: wait for a player), host and port to listen on; ``port`` is for an executable."""
+    """Executable (None: wait for a player), host and port to listen on; ``port`` is for an executable.
+
+    Raises:
+        TrainerError: The host is none, or there is no such port.
+    """
+    try:
+        listen = parse_host(listen)
+        address = parse_address(env) if os.sep not in env else None
+    except ValueError as error:
+        raise TrainerError(f"{shown(env)} can't be listened on: {error}") from error
     if env == BUILTIN:
         return _builtin_player(), listen, port
     if env == EDITOR:
         return None, listen, UnityEnvironment.DEFAULT_EDITOR_PORT
-    host, colon, number = env.rpartition(":")
-    if colon and number.isdigit() and os.sep not in env:
-        return None, host, int(number)
-    return env, listen, port
+    return (env, listen, port) if address is None else (None, *address)
 
 
 def check_launchable(env: str) -> None:

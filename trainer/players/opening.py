@@ -10,9 +10,9 @@ from typing import Any
 from mlagents_envs.exception import UnityException, UnityTimeOutException, UnityWorkerInUseException
 from mlagents_envs.side_channel.side_channel import SideChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
-from rich.console import Console
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from corridor_server.protocol.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
 from trainer.config import BASE_PORT, ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
@@ -21,12 +21,13 @@ from trainer.players.behavior import only_behavior
 from trainer.players.environment import Environment
 from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
 from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
-from trainer.players.location import BUILTIN, LOOPBACK, can_be_launched, is_loopback, launch_path, place
+from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
 from trainer.signals import deferred
+from trainer.terminal import Terminal
 
 
 def open_environment(
@@ -64,7 +65,7 @@ def open_environment(
     """
     file_name, host, port = place(env, port, listen)
     port += number
-    if not 1 <= port <= 65535:
+    if PORTS.read(port, whole=True) is None:
         raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
     options: dict[str, Any] = {
         "seed": seed,
@@ -76,18 +77,16 @@ def open_environment(
     }
     if env == BUILTIN:
         options["additional_args"] += ["--parent", str(os.getpid())]
-        if host not in (LOOPBACK, "0.0.0.0", "[::]"):
+        if host != LOOPBACK and host not in WILDCARDS:
             options["additional_args"] += ["--host", host]
     if file_name is not None:
         file_name = launch_path(file_name)
     if not is_loopback(host):
-        Console(stderr=True).print(
-            f"Warning: listening on {host}:{port}, which other machines can reach. The ML-Agents protocol has no "
-            "authentication and no encryption: whoever connects first is the player. Trust that network, or leave it.",
+        Terminal(stderr=True).print(
+            f"Warning: listening on {authority(host, port)}, which other machines can reach. The ML-Agents protocol "
+            "has no authentication and no encryption: whoever connects first is the player. Trust that network, or "
+            "leave it.",
             style="yellow",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
         )
     if log_folder is not None:
         log_folder.mkdir(parents=True, exist_ok=True)
@@ -98,8 +97,8 @@ def open_environment(
         raise TrainerError(f"Port {port} on {host} is in use; choose another with --base-port.") from error
     except UnityTimeOutException as error:
         raise TrainerError(
-            f"No player dialled in on {host}:{port} within {timeout_wait} s; start one with '--mlagents-port {port}', "
-            "or give it more time with --timeout-wait." + _said(log_folder, number)
+            f"No player dialled in on {authority(host, port)} within {timeout_wait} s; start one with "
+            f"'--mlagents-port {port}', or give it more time with --timeout-wait." + _said(log_folder, number)
         ) from error
     except UnityException as error:
         raise TrainerError(sentence(error) + _said(log_folder, number)) from error

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from mlagents_envs.exception import UnityException
-from rich.console import Console
 
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
 from trainer.players.failures import FAILURES, PlayerLogs, explain
+from trainer.terminal import Terminal
 
 Player = TypeVar("Player")
 
@@ -30,7 +30,7 @@ class Restarts:
         self._limits = limits
         self._logs = logs
         self._launched = launched
-        self._console = Console(stderr=True)
+        self._console = Terminal(stderr=True)
         self._times: list[float] = []
 
     @property
@@ -80,9 +80,6 @@ class Restarts:
         again = "It is started again" if self._launched else "Waiting for it to dial in again"
         self._console.print(
             f"Player {self._number}: {reason} {again} (restart {self.count}).",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
         )
 
     def _keep_log(self) -> Path:

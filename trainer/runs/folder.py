@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import platform
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -13,11 +12,13 @@ from typing import Any
 
 import yaml
 
-from trainer.config import RunConfig
+from corridor_server.protocol.given import read_mapping, shown
+from trainer.config import RunConfig, is_name
 from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.runs.checkpoint import Checkpoint, read_checkpoint
+from trainer.settings_file import parse_parameter
 
 PACKAGES = (
     "curious-corridor",
@@ -73,8 +74,6 @@ class RunFolder:
         """
         if resume and force:
             raise TrainerError("--resume continues a run and --force overwrites it; give one of them.")
-        if not re.fullmatch(r"[\w.+-]*\w[\w.+-]*", config.run_id):
-            raise TrainerError(f"The run id {config.run_id!r} can't name a folder; use letters, digits, and . _ + -.")
         folder = cls(results_dir / config.run_id)
         with only_writer(folder.path, replace=force) as draft:
             if resume:
@@ -90,11 +89,11 @@ class RunFolder:
         Raises:
             TrainerError: There is none.
         """
-        for path in (results_dir / run, Path(run)):
+        for path in run_places(run, results_dir):
             mend(path)
-            if (path / "configuration.yaml").is_file():
+            if is_file(path / "configuration.yaml"):
                 return cls(path)
-        raise TrainerError(f"No run {run!r} in {results_dir}; give a run id there, or the path of a run's folder.")
+        raise TrainerError(f"No run {shown(run)} in {results_dir}; give a run id there, or the path of a run's folder.")
 
     def read_config(self) -> RunConfig:
         """The run's settings.
@@ -103,16 +102,18 @@ class RunFolder:
             TrainerError: ``configuration.yaml`` is missing or broken.
         """
         try:
-            return RunConfig.from_dict(self._read_record()["run"])
-        except (KeyError, TypeError) as error:
+            config = RunConfig.from_dict(self._read_record()["run"])
+            for name, value in config.environment_parameters.items():
+                parse_parameter(name, value, 0)
+            return config
+        except (AttributeError, KeyError, TypeError, TrainerError) as error:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
 
     def _read_record(self) -> dict[str, Any]:
         try:
-            record: dict[str, Any] = dict(yaml.safe_load(self.configuration.read_text(encoding="utf-8")))
-        except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
+            return read_mapping(self.configuration)
+        except ValueError as error:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
-        return record
 
     def record(self, config: RunConfig, behavior: dict[str, Any], agents: int) -> None:
         """Writes ``configuration.yaml``.
@@ -218,6 +219,21 @@ def _differences(one: RunConfig, other: RunConfig) -> dict[str, tuple[Any, Any]]
 
 def _may_change(name: str) -> bool:
     return name.partition(".")[0] in MAY_CHANGE
+
+
+def run_places(run: str, results_dir: Path) -> list[Path]:
+    """Where a run may be: in the results folder under its id, or a study's and its id; or at its own path."""
+    names = run.split("/")
+    inside = [results_dir / run] if all(is_name(name) for name in names) else []
+    return [*inside, Path(run)]
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; there is none of a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from types import TracebackType
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
+
+from trainer.terminal import Terminal
 
 LINES = 15  # printed over a whole run where there is no terminal
 
@@ -50,16 +51,16 @@ class ProgressDisplay:
     """
 
     def __init__(self, run_id: str, total: int, done_before: int) -> None:
-        self._console = Console()
+        self._console = Terminal()
         self._total = total
         self._next_line = done_before
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
-            TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
+            TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps", markup=False),
             _SpeedColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[text]}"),
+            TextColumn("{task.fields[text]}", markup=False),
             console=self._console,
             speed_estimate_period=10.0,
             disable=not self._console.is_terminal,
@@ -80,7 +81,7 @@ class ProgressDisplay:
         self._bar.update(self._task, completed=min(snapshot.steps, self._total), text=snapshot.text())
         if not self._console.is_terminal and snapshot.steps >= self._next_line:
             self._next_line += max(self._total // LINES, 1)
-            self._console.print(f"{snapshot.steps:>9,} steps  {snapshot.text()}", highlight=False)
+            self._console.print(f"{snapshot.steps:>9,} steps  {snapshot.text()}")
 
 
 def _number(value: float | None, layout: str) -> str:

@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
@@ -29,6 +28,7 @@ from trainer.runs.run_state import Resumed, resumed_from
 from trainer.runs.training import load_trained, train
 from trainer.runs.trajectories import Trajectories, save_trajectories
 from trainer.seeds import evaluation_seed
+from trainer.terminal import Terminal
 
 ONLY_WEIGHTS = (
     "Warning: of {}, only the policy's weights are used. Its pickled part (settings, optimiser) is not read, and it "
@@ -131,7 +131,7 @@ def _learn(
         if config.from_sb3 is not None and checkpoint is None:
             load_sb3_policy(Path(config.from_sb3), stages.model)
             warning = ONLY_WEIGHTS.format(config.from_sb3)
-            Console().print(warning, style="yellow", highlight=False, markup=False)
+            Terminal().print(warning, style="yellow")
         finished = train(config, folder, stages, players, counters, begin, checkpoint)
         evaluated = None
         if finished and not can_be_launched(config.env):
@@ -184,7 +184,7 @@ def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation:
     )
     save_learning_curve(folder.read_progress(), _title(config), folder.learning_curve)
     if evaluation is None:
-        Console().print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.", highlight=False)
+        Terminal().print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.")
     else:
         _show_evaluation(config, folder, evaluation)
 
@@ -251,7 +251,7 @@ def _say_who_came(asked: int, came: int) -> None:
     """One line for players that have another number of agents than areas were asked for."""
     hint = "; a scene makes copies of its area with a TrainingAreaReplicator (docs/unity.md)" if came < asked else ""
     text = f"Areas asked for: {asked} per player (--num-areas); agents that came, and are trained with: {came}{hint}."
-    Console().print(text, highlight=False, soft_wrap=True)
+    Terminal().print(text)
 
 
 def _evaluation_players(
@@ -270,14 +270,14 @@ def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
 
 
 def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
-    console, episodes = Console(), evaluation.episodes
-    console.print(f"Evaluation of {_title(config)}, deterministic policy:", highlight=False, soft_wrap=True)
+    console, episodes = Terminal(), evaluation.episodes
+    console.print(f"Evaluation of {_title(config)}, deterministic policy:")
     table = Table("measure", "value")
     for name, value in summarise(episodes).items():
         if name != "success_unknown":  # which stands in the success rate's place
             table.add_row(name, _reported(episodes, name) if value is None else f"{value:g}")
-    console.print(table)
-    console.print(f"Results: {_relative(folder.path)}", highlight=False, soft_wrap=True)
+    console.print(table, soft_wrap=False)
+    console.print(f"Results: {_relative(folder.path)}")
 
 
 def _reported(episodes: list[Episode], measure: str) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger
 
@@ -30,6 +29,7 @@ from trainer.runs.run_state import (
     trained_parts,
 )
 from trainer.signals import StopSignals, deferred
+from trainer.terminal import Terminal
 
 
 def train(
@@ -69,7 +69,7 @@ def train(
         restore_trained(checkpoint, stages, config.algo)
         restore(checkpoint, learning)
         if not restore_episodes(checkpoint, stages, players):
-            Console().print("The player can't go on where it was: new episodes begin.", highlight=False)
+            Terminal().print("The player can't go on where it was: new episodes begin.")
     everything: dict[str, Captured] = {**trained_parts(stages), **learning, **episode_parts(stages), "players": players}
     begin()
     logger.output_formats += [ProgressFile(folder.progress, done), TensorBoardLog(folder.tensorboard, done)]

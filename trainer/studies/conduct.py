@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
-from rich.console import Console
-
 from trainer.config import PresetName
 from trainer.runs.folder import machine, versions
 from trainer.studies.display import StudyDisplay
@@ -15,6 +13,7 @@ from trainer.studies.executors import Executor, RunOutcome, Task
 from trainer.studies.plan import Study
 from trainer.studies.report import Facts, Report
 from trainer.studies.store import Store
+from trainer.terminal import Terminal
 
 
 def run_study(
@@ -28,7 +27,7 @@ def run_study(
     episodes: int,
     timeout_wait: int,
     command: str,
-    console: Console,
+    console: Terminal,
 ) -> bool:
     """Trains what is not finished yet and writes the report.
 
@@ -89,5 +88,5 @@ def run_study(
         for file in sorted(Path(temporary).iterdir()):
             store.put(file, f"{study.name}/{file.name}")
     report.show(console)
-    console.print(f"Report: {store.place}/{study.name}/report.md", highlight=False, soft_wrap=True)
+    console.print(f"Report: {store.place}/{study.name}/report.md")
     return not failures

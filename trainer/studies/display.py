@@ -3,11 +3,10 @@
 import time
 from types import TracebackType
 
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 
 from trainer.studies.executors import Update
+from trainer.terminal import Terminal
 
 
 class StudyDisplay:
@@ -21,15 +20,15 @@ class StudyDisplay:
         steps: Agent steps per run.
     """
 
-    def __init__(self, console: Console, name: str, total: int, missing: int, steps: int) -> None:
+    def __init__(self, console: Terminal, name: str, total: int, missing: int, steps: int) -> None:
         self._console = console
         self._total, self._missing, self._steps = total, missing, steps
         self._ended = 0
         self._started = time.monotonic()
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=32),
-            TextColumn("{task.fields[text]}"),
+            TextColumn("{task.fields[text]}", markup=False),
             console=console,
             disable=not console.is_terminal,
         )
@@ -39,7 +38,6 @@ class StudyDisplay:
         before = self._total - self._missing
         self._console.print(
             f"{self._total} runs of {self._steps:,} steps" + (f", {before} of them finished before" if before else ""),
-            highlight=False,
         )
         self._bar.start()
         return self
@@ -56,10 +54,12 @@ class StudyDisplay:
         left = self._left(taken)
         for outcome in update.ended:
             self._ended += 1
-            result = "finished" if outcome.error is None else f"[red]failed[/]: {escape(outcome.error)}"
             done = self._total - self._missing + self._ended
-            line = f"{done}/{self._total} {escape(outcome.run_id)} {result}{left}"
-            self._bar.console.print(line, highlight=False, soft_wrap=True)
+            begin = f"{done}/{self._total} {outcome.run_id}"
+            if outcome.error is None:
+                self._console.print(f"{begin} finished{left}")
+            else:
+                self._console.print_failure(f"{begin} failed:", f"{outcome.error}{left}")
         done = self._total - self._missing + self._ended
         text = f"{done}/{self._total} runs done, {update.running} running{left}"
         self._bar.update(self._task, completed=taken, text=text)

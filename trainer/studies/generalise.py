@@ -19,7 +19,6 @@ from gymnasium import spaces
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import Progress
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
@@ -42,6 +41,7 @@ from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED
 from trainer.studies.executors import free_port
 from trainer.studies.plots import new_figure, save
+from trainer.terminal import Terminal
 
 AREAS = 64
 SPEEDS = (0.5, 0.75, 1.0, 1.5, 2.0)
@@ -235,7 +235,7 @@ def run_generalise(
     episodes: int,
     timeout_wait: int,
     command: str,
-    console: Console,
+    console: Terminal,
 ) -> None:
     """Evaluates every run in every changed corridor, and writes ``report.md``, ``cells.csv`` and ``generalise.png``.
 
@@ -278,8 +278,8 @@ def run_generalise(
     report = _report(shown, cells, [config.run_id for config in configs], episodes, command)
     (draft.path / "report.md").write_text(report, encoding="utf-8")
     draft.publish()
-    console.print(report, highlight=False, markup=False, soft_wrap=True)
-    console.print(f"Report: {target / 'report.md'}", highlight=False, soft_wrap=True)
+    console.print(report)
+    console.print(f"Report: {target / 'report.md'}")
 
 
 def heat_maps(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]]) -> Figure:

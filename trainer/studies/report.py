@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from trainer.studies import plots
 from trainer.studies.bootstrap import Estimate, interval
@@ -18,6 +17,7 @@ from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS
 from trainer.studies.executors import RunOutcome
 from trainer.studies.plan import Study
 from trainer.studies.results import RunResult, scores, steps_to
+from trainer.terminal import Terminal
 
 CURVE_COLUMNS = (
     "env_steps",
@@ -135,21 +135,21 @@ class Report:
         (folder / "claims.json").write_text(json.dumps(self._record(claims), indent=2) + "\n", encoding="utf-8")
         (folder / "report.md").write_text(self._markdown(claims), encoding="utf-8")
 
-    def show(self, console: Console) -> None:
+    def show(self, console: Terminal) -> None:
         """Prints claims, results and failures."""
         if self.study.claims:
             table = Table("claim", "holds", "evidence", title=f"{self.study.title}", show_lines=True)
             for claim in self.claims():
-                holds = "[green]yes[/]" if claim["holds"] else "[red]no[/]"
-                table.add_row(f"{claim['id']} {escape(claim['statement'])}", holds, escape(claim["evidence"]))
-            console.print(table)
+                holds = Text("yes", "green") if claim["holds"] else Text("no", "red")
+                table.add_row(f"{claim['id']} {claim['statement']}", holds, claim["evidence"])
+            console.print(table, soft_wrap=False)
         head, *rows = self.table("\n", IN_TERMINAL)
         table = Table(*head, show_lines=True, title="Interquartile means over seeds, with 95% intervals")
         for row in rows:
-            table.add_row(*(escape(cell) for cell in row))
-        console.print(table)
+            table.add_row(*row)
+        console.print(table, soft_wrap=False)
         for failure in self.failures:
-            console.print(f"[red]failed:[/] {escape(_failure(failure))}", highlight=False, soft_wrap=True)
+            console.print_failure("failed:", _failure(failure))
 
     def _record(self, claims: list[dict[str, Any]]) -> dict[str, Any]:
         return {

@@ -2,7 +2,6 @@
 
 import hmac
 import json
-import math
 import secrets
 import threading
 from collections import OrderedDict
@@ -13,10 +12,11 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-from rich.console import Console
 
 from corridor_server.corridor.gym_env import CorridorEnv
+from corridor_server.protocol.given import Range, shown
 from trainer.errors import TrainerError
+from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.live import LiveEvaluations
 from trainer.viewer.scene import corridor_facts, state_row
@@ -24,10 +24,11 @@ from trainer.viewer.watched_runs import WatchedRuns
 
 HOST = "127.0.0.1"
 BODY_LIMIT = 4096  # bytes; a request's body is an action
+FINITE = Range()
 SESSIONS = 16  # drives that are remembered; a new one ends the oldest
 
 
-def watch(results_dir: Path, port: int, console: Console) -> None:
+def watch(results_dir: Path, port: int, console: Terminal) -> None:
     """Serves the page until Ctrl-C.
 
     Args:
@@ -43,7 +44,7 @@ def watch(results_dir: Path, port: int, console: Console) -> None:
     except OSError as error:
         raise TrainerError(f"Port {port} can't be opened ({error.strerror}); choose another with --port.") from error
     try:
-        console.print(f"Watching {results_dir}: open {server.address}", highlight=False, soft_wrap=True)
+        console.print(f"Watching {results_dir}: open {server.address}")
         console.print("Ctrl-C ends it; training goes on.")
         server.serve_forever()
     finally:
@@ -115,26 +116,24 @@ class Drives:
         Raises:
             ValueError: There is no such drive, it is over, or the action is not two finite numbers.
         """
+        key = session if isinstance(session, str) else ""
         with self._lock:
-            found = self._sessions.get(str(session))
+            found = self._sessions.get(key)
         if found is None:
             raise ValueError("This drive is over; begin a new episode.")
-        if (
-            not isinstance(action, list)
-            or len(action) != 2
-            or not all(isinstance(value, int | float) and math.isfinite(value) for value in action)
-        ):
-            raise ValueError(f"The action is {action!r}, but two numbers in [-1, 1] were expected.")
+        numbers = [FINITE.read(value) for value in action] if isinstance(action, list) else []
+        if len(numbers) != 2 or None in numbers:
+            raise ValueError(f"The action is {shown(action)}, but two numbers in [-1, 1] were expected.")
         env, lock = found
         with lock:
-            numbers = np.clip(np.array(action, np.float32), -1.0, 1.0)
-            observation, reward, terminated, truncated, info = env.step(numbers)
+            clipped = np.clip(np.array(numbers), -1.0, 1.0).astype(np.float32)
+            observation, reward, terminated, truncated, info = env.step(clipped)
         outcome = None
         if terminated or truncated:
             outcome = "truncated" if truncated else "goal" if info["is_success"] else "failed"
             with self._lock:
-                self._sessions.pop(str(session), None)
-        return {"values": state_row(observation, reward, numbers), "outcome": outcome}
+                self._sessions.pop(key, None)
+        return {"values": state_row(observation, reward, clipped), "outcome": outcome}
 
 
 class _Handler(BaseHTTPRequestHandler):

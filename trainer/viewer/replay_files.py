@@ -2,13 +2,12 @@
 
 from pathlib import Path
 
-from rich.console import Console
-
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.drafts import Draft
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories
+from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.pictures import save_animations
 from trainer.viewer.scene import run_scene
@@ -40,11 +39,11 @@ def replay_run(
     Raises:
         TrainerError: There is nothing to show, or its file is broken.
     """
-    console = Console()
+    console = Terminal()
     trajectories = _trajectories(config, folder, draft, connection, checkpoint, episodes, console)
     scene = run_scene(config, trajectories, episodes)
     for note in scene["notes"]:
-        console.print(note, highlight=False, soft_wrap=True)
+        console.print(note)
     name = "replay" if checkpoint is None else f"replay-step-{trajectories.env_steps}"
     html, gif, mp4 = (draft.path / f"{name}.{ending}" for ending in ("html", "gif", "mp4"))
     try:
@@ -55,7 +54,7 @@ def replay_run(
         raise TrainerError(f"{folder.path} can't be written to ({error.strerror}); check its permissions.") from error
     files = [folder.path / path.name for path in (html, gif, mp4)]
     for path in files:
-        console.print(f"{path} ({path.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
+        console.print(f"{path} ({path.stat().st_size / 1e6:.2f} MB)")
     return files
 
 
@@ -66,12 +65,12 @@ def _trajectories(
     connection: ConnectionOptions,
     checkpoint: str | None,
     episodes: int,
-    console: Console,
+    console: Terminal,
 ) -> Trajectories:
     if checkpoint is None and folder.trajectories.exists():
         return load_trajectories(folder.trajectories)
     from trainer.runs.run import play_episodes  # torch takes seconds to import
 
     if checkpoint is None:
-        console.print("This run has no evaluation; its newest checkpoint is played.", highlight=False, soft_wrap=True)
+        console.print("This run has no evaluation; its newest checkpoint is played.")
     return play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)

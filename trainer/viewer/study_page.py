@@ -7,13 +7,12 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from trainer.drafts import only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
-from trainer.runs.folder import RunFolder
+from trainer.runs.folder import RunFolder, is_file
 from trainer.runs.trajectories import load_trajectories
+from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.scene import run_scene
 
@@ -23,10 +22,10 @@ CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 
 def is_study(folder: Path) -> bool:
     """Whether ``corridor study`` has reported in this folder."""
-    return (folder / CLAIMS).is_file()
+    return is_file(folder / CLAIMS)
 
 
-def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
+def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
     """Writes ``report.html`` into a study's folder, and ``replay.html`` into that of each of its evaluated runs.
 
     Args:
@@ -68,8 +67,8 @@ def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
     report = folder / "report.html"
     write_whole(report, page({"mode": "study", "study": study}))
     for note in notes:
-        console.print(note, highlight=False, soft_wrap=True)
-    console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
+        console.print(note)
+    console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)")
     return report
 
 
