@@ -14,6 +14,7 @@ from corridor_server.connection import Connection, ConnectionBroken, ConnectionF
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.decision_timing import TIMINGS
 from corridor_server.player import Player, PlayerError
+from corridor_server.standard_streams import drop_failing_output
 
 EDITOR_PORT = 5004
 logger = logging.getLogger("corridor_server")
@@ -25,6 +26,7 @@ class Stopped(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a player; returns the process's exit code: 0 when the trainer ended the session, or itself."""
+    drop_failing_output()
     options, ignored = _parser().parse_known_args(arguments)
     try:
         _start_log(options.log_file)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from tyro.conf import subcommand
 
+from corridor_server.standard_streams import drop_failing_output
 from trainer.commands.bench import Bench
 from trainer.commands.check import Check
 from trainer.commands.evaluate import Evaluate
@@ -38,6 +39,7 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns the process's exit code."""
+    drop_failing_output()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     env_args = []
     if ENV_ARGS in arguments:  # what follows is the player's, dashes and all, as with mlagents-learn
@@ -54,6 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return command.run(shlex.join(["corridor", *arguments]))
     except TrainerError as error:
         console.print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        return 1
+    except OSError as error:
+        of = f" {error.filename}" if error.filename else ""
+        text = f"The system refuses{of}: {error.strerror or error}."
+        console.print(f"[bold red]error:[/] {escape(text)}", highlight=False, soft_wrap=True)
         return 1
     except KeyboardInterrupt:
         console.print("Stopped.")

@@ -11,6 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
+from corridor_server.standard_streams import drop_failing_output
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
@@ -18,6 +19,7 @@ from trainer.runs.folder import RunFolder
 
 def main() -> int:
     """Trains and evaluates; returns the process's exit code."""
+    drop_failing_output()
     order = json.loads(sys.stdin.readline())
     threading.Thread(target=_stop_at_end_of_input, daemon=True).start()
     config = RunConfig.from_dict(order["config"])
