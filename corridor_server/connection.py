@@ -1,14 +1,14 @@
 """The gRPC connection to a trainer. The trainer is the server; a player dials it."""
 
 import os
-import time
+import threading
 
 import grpc
 
 from corridor_server.protocol.addresses import authority, resolve
 from corridor_server.protocol.messages import API_VERSION, EXCHANGE, MAX_MESSAGE_BYTES
+from corridor_server.protocol.patience import LOOK_SECONDS, Patience
 
-PARENT_SECONDS = 0.5
 _OPTIONS = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
     ("grpc.enable_http_proxy", 0),
@@ -47,16 +47,16 @@ class Connection:
         self._address = authority(host, port)
         self._channel = grpc.insecure_channel(self._address, options=_OPTIONS)
         ready = grpc.channel_ready_future(self._channel)
-        deadline = time.monotonic() + timeout_wait
+        patience = Patience(timeout_wait)
         while True:
             try:
-                ready.result(timeout=min(PARENT_SECONDS, max(deadline - time.monotonic(), 0.0)))
+                ready.result(timeout=patience.look())
                 break
             except grpc.FutureTimeoutError as error:
                 if parent is not None and os.getppid() != parent:
                     self._channel.close()
                     raise ConnectionFailed(f"The process {parent}, which started this player, is gone.") from error
-                if time.monotonic() >= deadline:
+                if patience.is_over():
                     self._channel.close()
                     try:
                         resolve(host)
@@ -67,6 +67,10 @@ class Connection:
                         f"{API_VERSION}); start the trainer first, and give the player its port with --mlagents-port."
                     ) from error
         self._exchange = self._channel.unary_unary(EXCHANGE)
+        self._patience: Patience | None = None  # while a reply is awaited
+        self._hangs = False
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def exchange(self, message: bytes, timeout: float | None = None) -> bytes:
         """Sends a message's bytes and waits for the trainer's.
@@ -79,15 +83,27 @@ class Connection:
             ConnectionBroken: The trainer is gone.
             ConnectionFailed: It is silent or has another player, or something else listens there.
         """
+        self._patience = Patience(self._timeout_reply)
         try:
-            reply: bytes = self._exchange(message, timeout=self._timeout_reply if timeout is None else timeout)
+            reply: bytes = self._exchange(message, timeout=timeout)
         except grpc.RpcError as error:
             raise self._failure(error.code()) from error
+        finally:
+            self._patience = None
         return reply
+
+    def _watch(self) -> None:
+        """Ends a wait for a reply that does not come: gRPC's own deadline would count this process's pauses, too."""
+        patience = None
+        while not self._closed.wait(LOOK_SECONDS if patience is None else patience.look()):
+            if patience is not None and patience is self._patience and patience.is_over():
+                self._hangs = True
+                self.close()
+            patience = self._patience
 
     def _failure(self, code: grpc.StatusCode) -> ConnectionFailed:
         match code:
-            case grpc.StatusCode.DEADLINE_EXCEEDED:
+            case _ if self._hangs:
                 return ConnectionFailed(
                     f"The trainer at {self._address} sent no reply for {self._timeout_reply:g} s; it hangs."
                 )
@@ -106,4 +122,5 @@ class Connection:
 
     def close(self) -> None:
         """Closes the channel."""
+        self._closed.set()
         self._channel.close()

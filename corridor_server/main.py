@@ -17,6 +17,7 @@ from corridor_server.decision_timing import TIMINGS
 from corridor_server.player import Player, PlayerError
 from corridor_server.protocol.addresses import LOOPBACK, PORTS, parse_host
 from corridor_server.protocol.given import Range, shown
+from corridor_server.standard_streams import drop_failing_output
 
 EDITOR_PORT = 5004
 SEEDS = Range(-(2**31), 2**31 - 1)  # what the protocol carries
@@ -33,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a player; returns the process's exit code: 0 when the trainer ended the session, or itself."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _stop)
+    drop_failing_output()
     os.environ.pop("GRPC_POLL_STRATEGY", None)  # gRPC aborts the process for one that it does not know
     try:
         return _run(arguments)

@@ -55,6 +55,10 @@ def run_command(arguments: list[str]) -> int:
     except TrainerError as error:
         console.print_failure("error:", str(error))
         return 1
+    except OSError as error:
+        of = f" {error.filename}" if error.filename else ""
+        console.print_failure("error:", f"The system refuses{of}: {error.strerror or error}.")
+        return 1
     except KeyboardInterrupt:
         console.print("Stopped.")
         return INTERRUPTED

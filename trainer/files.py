@@ -27,8 +27,10 @@ def whole_file(path: Path, *, temporary: str | None = None, durable: bool = True
                 file.flush()
                 os.fsync(file.fileno())
         unfinished.replace(path)
-    except BaseException:
+    except BaseException as error:
         unfinished.unlink(missing_ok=True)  # on a full disk, its room is needed
+        if isinstance(error, OSError) and error.filename is None:  # a write that failed does not say of which file
+            error.filename = str(path)
         raise
 
 

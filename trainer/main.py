@@ -16,6 +16,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(list(arguments))
     with ended_by_signals():
+        from corridor_server.standard_streams import drop_failing_output
+
+        drop_failing_output()
         ignore_surroundings()
         return _run(sys.argv[1:])
 

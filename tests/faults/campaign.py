@@ -5,6 +5,7 @@ python tests/faults/campaign.py signals --times 20                    # SIGINT, 
 python tests/faults/campaign.py players --times 20                    # SIGKILL, SIGSTOP, a cut connection (root)
 python tests/faults/campaign.py disk --times 20                       # a full disk (root), and --resume
 python tests/faults/campaign.py readonly --times 20                   # a folder made read-only (root), and --resume
+python tests/faults/campaign.py pauses --times 50 --steps 1500000    # SIGSTOP for longer than --timeout-wait, SIGCONT
 python tests/faults/campaign.py often --seconds 20 --steps 1500000    # SIGKILL of the player, again and again
 
 Where there are several faults in a line, each is done so many times.
@@ -29,12 +30,21 @@ from harness import (
     send,
     stop_with,
     train_with_kills,
+    train_with_pauses,
 )
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NO_LIMITS = ("--max-lifetime-restarts", -1, "--restarts-rate-limit-n", -1)
 PLAYER_FAULTS = (send(signal.SIGKILL), send(signal.SIGSTOP), cut_connection)
-KINDS = {"kills": 1, "often": 1, "signals": len(SIGNALS), "players": len(PLAYER_FAULTS), "disk": 1, "readonly": 1}
+KINDS = {
+    "kills": 1,
+    "often": 1,
+    "pauses": 1,
+    "signals": len(SIGNALS),
+    "players": len(PLAYER_FAULTS),
+    "disk": 1,
+    "readonly": 1,
+}
 
 
 def main() -> None:
@@ -63,6 +73,11 @@ def main() -> None:
             run.leaves_nothing_behind()
             successes = [each.summary()["evaluation"]["success_rate"] for each in (run, uncut)]
             print(f"success {successes[0]}, without kills {successes[1]}; restarts {run.summary()['player_restarts']}")
+        elif options.what == "pauses":
+            run = Run(results, "paused", options.base_port, "--steps", options.steps, "--timeout-wait", 2)
+            assert train_with_pauses(run, options.times, 3.0, generator) == 0, run.output
+            assert run.summary()["player_restarts"] == 0
+            run.equals(uncut)
         else:
             times = options.times * KINDS[options.what]
             for number in range(times):

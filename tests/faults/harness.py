@@ -164,6 +164,20 @@ def kill_players_every(seconds: float, run: Run) -> int:
     return run.wait(process)
 
 
+def train_with_pauses(run: Run, times: int, seconds: float, generator: random.Random) -> int:
+    """Trains a run that is paused again and again, every other time with its players; returns its exit code."""
+    process = run.start()
+    run.wait_for_steps(process, 1)
+    for number in range(times):
+        time.sleep(generator.uniform(0.2, 0.6))
+        paused = [process.pid, *(run.players() if number % 2 else [])]
+        for number_of_signal in (signal.SIGSTOP, signal.SIGCONT):
+            for each in paused:
+                os.kill(each, number_of_signal)
+            time.sleep(seconds if number_of_signal == signal.SIGSTOP else 0.0)
+    return run.wait(process)
+
+
 def send(number: signal.Signals) -> Callable[[int], None]:
     """A fault: the player gets a signal."""
     return lambda player: os.kill(player, number)

@@ -1,7 +1,6 @@
 """Trainers that misbehave: whatever they send, a player ends or goes on, and never hangs."""
 
-import time
-
+from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import command, initialization, step
 from trainer.conformance.raw_trainer import NothingReceived
 from trainer.conformance.session import Session
@@ -16,9 +15,8 @@ class BadPeers(Conformance):
 
     def _ends_or_goes_on(self, session: Session) -> None:
         """After a bad reply: either the player answers, or its process ends."""
-        deadline = time.monotonic() + PATIENCE_SECONDS
-        reacted = False
-        while not reacted and time.monotonic() < deadline:
+        patience, reacted = Patience(PATIENCE_SECONDS), False
+        while not reacted and not patience.is_over():
             reacted = session.process is not None and session.process.poll() is not None
             try:
                 session.trainer.receive_bytes(timeout=0.05)

@@ -10,6 +10,7 @@ import grpc
 
 from corridor_server.protocol.addresses import authority, free_addresses
 from corridor_server.protocol.messages import API_VERSION, RESET, SERVICE, UnityMessageProto
+from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import command, initialization, step
 
 
@@ -64,10 +65,14 @@ class RawTrainer:
         Raises:
             NothingReceived: None came in time.
         """
-        try:
-            return self._received.get(timeout=self._timeout if timeout is None else timeout)
-        except Empty:
-            raise NothingReceived(f"the player sent nothing for {self._timeout:g} s") from None
+        seconds = self._timeout if timeout is None else timeout
+        patience = Patience(seconds)
+        while True:
+            try:
+                return self._received.get(timeout=patience.look())
+            except Empty:
+                if patience.is_over():
+                    raise NothingReceived(f"the player sent nothing for {seconds:g} s") from None
 
     def receive(self) -> Any:
         """The player's next message (UnityMessageProto)."""

@@ -5,6 +5,7 @@ This is where its private attributes are read and set: it has no public names fo
 
 import hashlib
 import math
+import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -189,9 +190,9 @@ class RandomStreams:
         self.note()
 
 
-def continue_clock(model: BaseAlgorithm, seconds: float) -> None:
-    """Lets SB3's clock and its count of steps go on where a run's earlier parts left them, so many seconds ago."""
-    model.start_time -= int(seconds * 1e9)
+def set_clock(model: BaseAlgorithm, seconds: float) -> None:
+    """Has SB3 log these seconds since the run's first step: its own forgets earlier parts, and may be put back."""
+    model.start_time = time.time_ns() - int(seconds * 1e9)
     model._num_timesteps_at_start = 0
 
 

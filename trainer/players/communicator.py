@@ -25,13 +25,13 @@ from mlagents_envs.exception import (
 
 from corridor_server.protocol.addresses import LOOPBACK, PortInUse, authority, free_addresses
 from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto
+from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import stopping, trainer_message
 from corridor_server.protocol.wire_bytes import HEADER_OK
 from trainer.signals import deferred
 
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
-POLL_SECONDS = 0.2
-EXIT_SECONDS = 2.0
+EXIT_LOOKS = 100
 
 PollCallback = Callable[[], None]
 
@@ -157,10 +157,10 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
             UnityTimeOutException: Nothing came within ``timeout_wait``.
             UnityEnvironmentException: ``poll_callback`` found the player's process dead.
         """
-        deadline = time.monotonic() + self._timeout_wait
+        patience = Patience(self._timeout_wait)
         while True:
             try:
-                data = self._received.get(timeout=min(POLL_SECONDS, max(deadline - time.monotonic(), 0.0)))
+                data = self._received.get(timeout=patience.look())
                 break
             except Empty:
                 if poll_callback is not None:
@@ -168,7 +168,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
                 if not self._connected():
                     data = None
                     break
-                if time.monotonic() >= deadline:
+                if patience.is_over():
                     raise UnityTimeOutException(f"The player sent nothing for {self._timeout_wait:g} s.") from None
         if data is None:
             _wait_for_exit(poll_callback)
@@ -234,7 +234,7 @@ def parse(data: bytes) -> Any:
 
 def _wait_for_exit(poll_callback: PollCallback | None) -> None:
     """A process that broke its connection is about to end: lets the callback report its exit code, if it does."""
-    deadline = time.monotonic() + EXIT_SECONDS
-    while poll_callback is not None and time.monotonic() < deadline:
-        poll_callback()
-        time.sleep(0.02)
+    if poll_callback is not None:
+        for _ in range(EXIT_LOOKS):
+            poll_callback()
+            time.sleep(0.02)

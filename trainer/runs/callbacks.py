@@ -12,7 +12,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from trainer.errors import TrainerError
-from trainer.learning.algorithm_state import RandomStreams, continue_clock
+from trainer.learning.algorithm_state import RandomStreams, set_clock
 from trainer.learning.algorithms import WINDOW
 from trainer.learning.stages import Stages
 from trainer.players.slots import Slots
@@ -47,9 +47,6 @@ class CountSteps(BaseCallback):
         self._players = players
         self._earlier = replace(counters, exchange_seconds=counters.exchange_seconds - players.exchange_seconds)
         self._started = time.monotonic()
-
-    def _on_training_start(self) -> None:
-        continue_clock(self.model, self._earlier.wall_seconds)
 
     def _on_step(self) -> bool:
         counters, earlier = self._counters, self._earlier
@@ -157,6 +154,7 @@ class LogRows(BaseCallback):
         for tag, value in tags.items():
             if value is not None:
                 self.logger.record(tag, value)
+        set_clock(self.model, self._counters.wall_seconds)
         update = self.num_timesteps // self._update_steps
         if isinstance(self.model, OnPolicyAlgorithm):
             if update % self._row_updates == 0:

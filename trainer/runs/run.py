@@ -1,5 +1,6 @@
 """What ``corridor train`` and ``corridor evaluate`` do: a run from the player's start to its files."""
 
+import errno
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
@@ -34,6 +35,9 @@ ONLY_WEIGHTS = (
     "Warning: of {}, only the policy's weights are used. Its pickled part (settings, optimiser) is not read, and it "
     "has no observation statistics: normalisation begins anew, so the policy first acts differently."
 )
+
+# Of a write that failed, where the error does not say of which file.
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.ESTALE)
 
 
 @dataclass(frozen=True)
@@ -236,15 +240,22 @@ def play_episodes(
 
 @contextmanager
 def _written_to(folder: RunFolder) -> Iterator[None]:
-    """Turns a full disk, or a folder that can't be written, into one sentence."""
+    """Turns a full disk, or a folder that can't be written, into one sentence; other errors are not the folder's."""
     try:
         yield
     except OSError as error:
+        named = error.filename is not None
+        if not (_is_inside(folder, error.filename) if named else error.errno in DISK_ERRORS):
+            raise
         kept = [path.name for path in checkpoints(folder.checkpoints)]
         known = (
             f"the last checkpoint is {kept[-1]}: put it right and go on with --resume." if kept else "nothing is saved."
         )
         raise TrainerError(f"{folder.path} can't be written ({error.strerror or error}); {known}") from error
+
+
+def _is_inside(folder: RunFolder, name: object) -> bool:
+    return Path(str(name)).absolute().is_relative_to(folder.path.absolute())
 
 
 def _say_who_came(asked: int, came: int) -> None:

@@ -18,6 +18,9 @@ from trainer.surroundings import ignore_surroundings
 def main() -> int:
     """Trains and evaluates; returns the process's exit code."""
     with ended_by_signals():
+        from corridor_server.standard_streams import drop_failing_output
+
+        drop_failing_output()
         ignore_surroundings()
         return _work()
 
