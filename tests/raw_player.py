@@ -4,6 +4,7 @@ Its agents decide in every message, all end after the same number of steps, and 
 ``num_areas``, as a scene without a TrainingAreaReplicator does.
 """
 
+import itertools
 import json
 import sys
 import time
@@ -13,8 +14,7 @@ from typing import Any
 import grpc
 
 from corridor_server.protocol import side_channels
-from corridor_server.protocol.messages import API_VERSION, EXCHANGE, OK, QUIT, RESET, STOP, UnityMessageProto
-from corridor_server.protocol.wire import PNG
+from corridor_server.protocol.messages import API_VERSION, EXCHANGE, OK, PNG, QUIT, RESET, STOP, UnityMessageProto
 
 PROGRAM = """#!{python}
 import sys
@@ -47,6 +47,8 @@ def play(
     success: tuple[float | None, ...] = (1.0,),
     picture: tuple[tuple[int, int, int], bytes, list[int]] | None = None,
     announces_end_after: int | None = None,
+    spoil: str = "",
+    spoiled: tuple[int, ...] = (),
 ) -> None:
     """Plays until the trainer ends it.
 
@@ -59,6 +61,8 @@ def play(
         success: What ended episodes report, in turn; None: cut by a step limit, and reports nothing.
         picture: Instead of the vector: shape, compressed data and channel mapping.
         announces_end_after: Steps after which the player says that it stops.
+        spoil: Statements that change a ``message``, or make other bytes of it as ``data``.
+        spoiled: The messages that they change, by number; -2 is the first of all, and 0 is the first with agents.
     """
 
     def note(kind: str, what: Any) -> None:
@@ -77,9 +81,15 @@ def play(
             observation.compressed_channel_mapping.extend(picture[2])
 
     port = sys.argv[sys.argv.index("--mlagents-port") + 1]
-    exchange = grpc.insecure_channel(f"localhost:{port}").unary_unary(
-        EXCHANGE, UnityMessageProto.SerializeToString, UnityMessageProto.FromString
-    )
+    count = itertools.count(-2)
+
+    def serialise(message: Any) -> bytes:
+        names = {"message": message, "data": None, "channels": side_channels}
+        if next(count) in spoiled:
+            exec(spoil, names)
+        return message.SerializeToString() if names["data"] is None else names["data"]
+
+    exchange = grpc.insecure_channel(f"localhost:{port}").unary_unary(EXCHANGE, serialise, UnityMessageProto.FromString)
     note("arguments", sys.argv[1:])
     hello = _message()
     hello.unity_output.rl_initialization_output.communication_version = API_VERSION

@@ -4,6 +4,7 @@ Everything else in the trainer goes for any ML-Agents environment. This stands o
 ``config``: it imports ``corridor_server`` and the errors, and nothing else of the trainer.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -73,7 +74,11 @@ def check_contract(spec: BehaviorSpec) -> None:
 
 
 def episode_info(statistics: dict[str, float]) -> dict[str, Any]:
-    """An ended episode's part of a Stable-Baselines3 info; ``is_success`` only if the player reports success."""
+    """An ended episode's part of a Stable-Baselines3 info; ``is_success`` only if the player reports success.
+
+    A value that is NaN or infinite says nothing: it is left out, as if it had not been reported.
+    """
+    statistics = {name: value for name, value in statistics.items() if math.isfinite(value)}
     if not statistics:
         return {}
     info: dict[str, Any] = {"statistics": statistics}

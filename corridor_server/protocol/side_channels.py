@@ -32,7 +32,7 @@ ENGINE_SETTINGS = {
 }
 FLOAT, SAMPLER = 0, 1
 UNIFORM, GAUSSIAN, MULTI_RANGE_UNIFORM = 0, 1, 2
-AVERAGE = 0
+AVERAGE, HISTOGRAM = 0, 3
 
 
 class SideChannelError(ValueError):
@@ -107,6 +107,19 @@ def read_engine_setting(payload: bytes) -> str:
         raise SideChannelError(f"Engine setting {setting} is not known; 0 to 4 was expected.")
     name, layout = ENGINE_SETTINGS[setting]
     return f"{name} {' x '.join(f'{value:g}' for value in reader.unpack(layout))}"
+
+
+def read_statistic(payload: bytes) -> tuple[str, float, int]:
+    """Reads a statistic's name, value and way of aggregation.
+
+    Raises:
+        SideChannelError: The payload is too short, or the way is an unknown one.
+    """
+    reader = _PayloadReader(payload)
+    name, value, aggregation = reader.string(), reader.float32(), reader.int32()
+    if not AVERAGE <= aggregation <= HISTOGRAM:
+        raise SideChannelError(f"Statistic {name!r} has aggregation {aggregation}; 0 to {HISTOGRAM} was expected.")
+    return name, value, aggregation
 
 
 def write_statistics(statistics: Mapping[str, NDArray[np.float64]]) -> bytes:

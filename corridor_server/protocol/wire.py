@@ -21,19 +21,20 @@ from corridor_server.protocol.messages import (
     ACADEMY,
     API_VERSION,
     OK,
+    PNG,
     QUIT,
     RESET,
     STEP,
     STOP,
     AgentInfoProto,
     UnityMessageProto,
+    mistyped_field,
 )
 
 CONTINUOUS = 1  # SpaceTypeProto
 # DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are; of
 # variable size, as buffers are.
 NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE, VARIABLE_SIZE = 1, 2, 4
-PNG = 1  # CompressionTypeProto
 
 
 @dataclass(frozen=True)
@@ -229,11 +230,15 @@ def _checked(batch: columnar.ActionBatch, behavior: Behavior, count: int) -> col
 
 def _parse(data: bytes) -> Any:
     try:
-        return UnityMessageProto.FromString(data)
+        message = UnityMessageProto.FromString(data)
     except DecodeError as error:
         raise WireError(
             f"The trainer sent {len(data)} bytes that are not a protocol message; is it an ML-Agents trainer?"
         ) from error
+    mistyped = mistyped_field(message)
+    if mistyped is not None:
+        raise WireError(f"The trainer sent {mistyped} as another type than the protocol's.")
+    return message
 
 
 def _ends(message: Any) -> bool:

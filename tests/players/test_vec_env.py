@@ -125,13 +125,13 @@ def test_discrete_actions(branches, space, action):
 
 def test_agents_that_do_not_decide_in_step_are_refused():
     env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0}, {}))
-    with pytest.raises(TrainerError, match="1 of 2 agents asked for a decision"):
+    with pytest.raises(TrainerError, match="agents 1 asked for a decision, and of the others 2 neither"):
         act(env, 0, 0)
 
 
 def test_an_agent_that_appears_from_nowhere_is_refused():
     env, _ = slots(({1: 0, 2: 0}, {}), ({1: 0, 9: 0}, {}))
-    with pytest.raises(TrainerError, match="1 of them new while 0 ended"):
+    with pytest.raises(TrainerError, match="agents 1, 9 asked for a decision, and of the others 2 neither"):
         act(env, 0, 0)
 
 

@@ -86,6 +86,7 @@ class CorridorContract(Conformance):
 
     def test_each_action_reaches_the_agent_that_asked_in_that_place(self) -> None:
         with self._deciding(num_areas=4) as session:
+            self._has_areas(session, 4)
             for _ in range(3):
                 session.act({BEHAVIOR: [[1.0 if place % 2 else -1.0, 0.0] for place in range(4)]})
                 session.to_decisions()
@@ -195,6 +196,7 @@ class CorridorContract(Conformance):
         starts = set()
         for seed in (1, 2):
             with self._deciding(seed=seed, num_areas=2) as session:
+                self._has_areas(session, 2)
                 starts |= {tuple(vector(info)) for info in deciding(session.output)}
         expect(len(starts) == 4, f"{len(starts)} different starts of 4", "another one for each")
 
@@ -204,6 +206,12 @@ class CorridorContract(Conformance):
         with self.playing(seed=seed, num_areas=num_areas, side_channel=side_channel) as session:
             session.to_decisions()
             yield session
+
+    @staticmethod
+    def _has_areas(session: Session, asked: int) -> None:
+        came = len(deciding(session.output))
+        if came != asked:
+            raise NotApplicable(f"{came} of {asked} areas came, which another sentence is about")
 
     @staticmethod
     def _first(session: Session) -> Any:

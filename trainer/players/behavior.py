@@ -18,6 +18,8 @@ def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
     if not environment.behavior_specs:
         environment.reset()
     specs = dict(environment.behavior_specs.items())
+    if not specs:
+        raise TrainerError("The player announced no behavior in its first message; look for agents in the scene.")
     if len(specs) != 1:
         raise TrainerError(
             f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; "

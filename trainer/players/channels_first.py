@@ -9,7 +9,7 @@ from typing import Any
 
 from mlagents_envs.base_env import BehaviorSpec
 
-from corridor_server.protocol.wire import PNG
+from corridor_server.protocol.messages import PNG
 
 # A PNG begins with its signature and its header's length and name; then come width and height, big-endian.
 _WIDTH, _HEIGHT = slice(16, 20), slice(20, 24)

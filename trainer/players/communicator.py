@@ -24,10 +24,11 @@ from mlagents_envs.exception import (
 )
 
 from corridor_server.protocol.addresses import LOOPBACK, PortInUse, authority, free_addresses
-from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto
+from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto, mistyped_field
 from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import stopping, trainer_message
 from corridor_server.protocol.wire_bytes import HEADER_OK
+from trainer.players.announcements import check_hello
 from trainer.signals import deferred
 
 HANDLERS = 2  # a player that says farewell has a call of its own beside the one that it gave up
@@ -116,7 +117,9 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         first = self._receive(poll_callback)
         if first is None or self.exchange_bytes(serialise(inputs), poll_callback) is None:
             raise UnityCommunicationException("The player broke the connection during the handshake.")
-        return parse(first).unity_output
+        output = parse(first).unity_output
+        check_hello(output)
+        return output
 
     def exchange(self, inputs: Any, poll_callback: PollCallback | None = None) -> Any:
         """Sends a command and returns the player's answer, or None when the player has stopped."""
@@ -222,14 +225,22 @@ def parse(data: bytes) -> Any:
     """A player's message (UnityMessageProto).
 
     Raises:
-        UnityCommunicationException: The bytes are none.
+        UnityCommunicationException: The bytes are none, have no header, or a field that is of another type.
     """
     try:
-        return UnityMessageProto.FromString(data)
+        message = UnityMessageProto.FromString(data)
     except DecodeError as error:
         raise UnityCommunicationException(
             f"The player sent {len(data)} bytes that are not a message of the ML-Agents protocol."
         ) from error
+    mistyped = mistyped_field(message)
+    if mistyped is not None:
+        raise UnityCommunicationException(f"The player sent {mistyped} as another type than the protocol's.")
+    if not message.header.status:
+        raise UnityCommunicationException(
+            f"The player sent {len(data)} bytes without a header's status; {OK} was expected."
+        )
+    return message
 
 
 def _wait_for_exit(poll_callback: PollCallback | None) -> None:

@@ -1,19 +1,33 @@
 """``UnityEnvironment``, faster and listening on one host: the only place that touches its private parts."""
 
 import atexit
+import struct
 import time
 from typing import Any, Protocol
 
 from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
-from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityObservationException
+from mlagents_envs.exception import (
+    UnityCommunicatorStoppedException,
+    UnityObservationException,
+    UnitySideChannelException,
+)
+from mlagents_envs.logging_util import get_logger
+from mlagents_envs.side_channel import IncomingMessage
+from mlagents_envs.side_channel.side_channel_manager import SideChannelManager
 
 from corridor_server.protocol.addresses import LOOPBACK
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
+from corridor_server.protocol.side_channels import SideChannelError, split
 from trainer.players import steps as mlagents_steps
+from trainer.players.announcements import check_behaviors, check_observation_types
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
+
+MESSAGES_WITHOUT_DECISION = 1000
+
+logger = get_logger(__name__)
 
 
 class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has no type information
@@ -48,6 +62,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     ) -> None:
         self._host = host
         self.exchange_seconds = 0.0
+        self._undecided = 0
         self._rows: dict[str, AgentRows] | None = None
         worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
         try:
@@ -59,6 +74,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
                 self.kill()
             atexit.unregister(self._close)
             raise
+        self._side_channel_manager: SideChannelManager = _Channels(self._side_channel_manager)
 
     @property
     def is_open(self) -> bool:
@@ -86,6 +102,12 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         super().reset()
         self._rows = mlagents_steps.rows_of(self.behavior_specs)
 
+    def _update_behavior_specs(self, output: Any) -> None:
+        check_behaviors(output.rl_initialization_output.brain_parameters, self._env_specs)
+        for listed in output.rl_output.agentInfos.values():
+            check_observation_types(listed.value)
+        super()._update_behavior_specs(output)
+
     def _update_state(self, output: Any) -> None:
         mlagents_steps.check_counts(output, self._env_specs)
         sent = self._env_specs
@@ -103,6 +125,19 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
                 steps.obs[index] = steps.obs[index].transpose(0, 3, 1, 2)
         for found in self._env_state.values():
             mlagents_steps.check_ids(found)
+        self._count_undecided()
+
+    def _count_undecided(self) -> None:
+        """Ends what would go on for ever: a player that sends message after message in which nobody is to decide."""
+        if any(len(decision) for decision, _ in self._env_state.values()):
+            self._undecided = 0
+            return
+        self._undecided += 1
+        if self._undecided == MESSAGES_WITHOUT_DECISION:
+            raise UnityObservationException(
+                f"No agent asked for a decision in {MESSAGES_WITHOUT_DECISION} messages of the player; look for agents "
+                "without a DecisionRequester, or that end before they decide."
+            )
 
     def step(self) -> None:
         """Sends the actions that were set and takes the player's next message."""
@@ -146,12 +181,41 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
                     self._env_state[name] = mlagents_steps.steps(read[0][name], spec)
                 else:
                     self._env_state[name] = DecisionSteps.empty(spec), TerminalSteps.empty(spec)
+            self._count_undecided()
             self._side_channel_manager.process_side_channel_message(read[1])
         self._env_actions.clear()
         self.exchange_seconds += time.perf_counter() - began
 
     def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)
+
+
+class _Channels(SideChannelManager):  # type: ignore[misc]
+    """``SideChannelManager`` that names the channel of what can't be read."""
+
+    def __init__(self, manager: SideChannelManager) -> None:
+        self._side_channels_dict = manager._side_channels_dict  # noqa: SLF001 - its own class
+
+    def process_side_channel_message(self, data: bytes) -> None:
+        """Hands each message to its channel.
+
+        Raises:
+            UnitySideChannelException: The bytes are cut, or a channel can't read its message.
+        """
+        try:
+            for identifier, payload in split(data):
+                channel = self._side_channels_dict.get(identifier)
+                if channel is None:
+                    logger.warning(f"Unknown side channel data received. Channel type: {identifier}.")
+                    continue
+                try:
+                    channel.on_message_received(IncomingMessage(payload))
+                except (ValueError, struct.error) as error:
+                    raise UnitySideChannelException(
+                        f"The player sent side channel {identifier} a message that can't be read ({error})"
+                    ) from error
+        except SideChannelError as error:
+            raise UnitySideChannelException(f"The player's side-channel bytes can't be read: {error}") from error
 
 
 class TwoHalves(Protocol):

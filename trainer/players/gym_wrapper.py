@@ -16,6 +16,7 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from numpy.typing import NDArray
 
 from trainer.corridor import episode_info
+from trainer.players.unsupported import refuse_group_rewards, refuse_masks
 
 logger = get_logger(__name__)
 
@@ -61,11 +62,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self.render_mode = "rgb_array"
         self._env = unity_env
         self._env.reset()  # behaviors are only known once the player has sent agents
-        if len(self._env.behavior_specs) != 1:
-            raise UnityGymException(
-                f"The environment has {len(self._env.behavior_specs)} behaviors, but a Gymnasium environment has "
-                "exactly one."
-            )
+        self._check_behaviors()
         self.name = next(iter(self._env.behavior_specs))
         self.group_spec = self._env.behavior_specs[self.name]
         shapes = [tuple(spec.shape) for spec in self.group_spec.observation_specs]
@@ -159,6 +156,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         """Runs the player until its agent asks or ends; one that ends before it ever asked is no episode."""
         while True:
             self._env.step()
+            self._check_behaviors()  # others may come late
             decision, terminal = self._env.get_steps(self.name)
             self._check_agents(len(decision))
             if len(decision) or self._agent in terminal.agent_id:
@@ -204,6 +202,13 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             return spaces.Discrete(len(self._flattened))
         return spaces.MultiDiscrete(list(branches))
 
+    def _check_behaviors(self) -> None:
+        if len(self._env.behavior_specs) != 1:
+            raise UnityGymException(
+                f"The environment has {len(self._env.behavior_specs)} behaviors, but a Gymnasium environment has "
+                "exactly one."
+            )
+
     @staticmethod
     def _check_agents(count: int) -> None:
         if count > 1:
@@ -230,8 +235,21 @@ class EpisodeStatistics(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Steps the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        del info["step"]
+        self._refuse_unsupported(info.pop("step"))
         received = self._channel.get_and_reset_stats()
         if terminated or truncated:
             info.update(episode_info({name: values[-1][0] for name, values in received.items()}))
         return observation, float(reward), terminated, truncated, info
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Resets the environment."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._refuse_unsupported(info.pop("step"))
+        return observation, info
+
+    def _refuse_unsupported(self, steps: DecisionSteps | TerminalSteps) -> None:
+        refuse_group_rewards(steps)
+        if isinstance(steps, DecisionSteps):
+            refuse_masks(steps)

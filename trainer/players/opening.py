@@ -9,7 +9,6 @@ from typing import Any
 
 from mlagents_envs.exception import UnityException, UnityTimeOutException, UnityWorkerInUseException
 from mlagents_envs.side_channel.side_channel import SideChannel
-from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.protocol.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
@@ -24,6 +23,7 @@ from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, Un
 from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
+from trainer.players.statistics_channel import Statistics
 from trainer.players.vec_env import UnityVecEnv
 from trainer.seeds import player_seed
 from trainer.signals import deferred
@@ -161,7 +161,7 @@ def open_players(
 def _open(
     config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
 ) -> OpenPlayer:
-    statistics, (engine, parameters) = StatsSideChannel(), channels(config, seed)
+    statistics, (engine, parameters) = Statistics(), channels(config, seed)
     environment = open_environment(
         config.env,
         seed=seed,
@@ -196,7 +196,7 @@ def _said(log_folder: Path | None, number: int) -> str:
     return "" if log_folder is None else last_lines(PlayerLogs(log_folder).of(number))
 
 
-def _one_area(config: RunConfig, environment: Environment, statistics: StatsSideChannel) -> VecEnv:
+def _one_area(config: RunConfig, environment: Environment, statistics: Statistics) -> VecEnv:
     try:
         wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
     except UnityGymException as error:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from corridor_server.protocol.agent_layout import Sensor
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.messages import PNG, UNCOMPRESSED
 from trainer.players.failures import BadNumbers
 
 Steps = tuple[DecisionSteps, TerminalSteps]
@@ -102,8 +103,15 @@ def check_counts(output: Any, specs: Mapping[str, BehaviorSpec]) -> None:
     """Refuses what ``mlagents_envs`` would choke on, or silently leave out, in an UnityRLOutputProto.
 
     Raises:
-        UnityObservationException: An agent has more or fewer observations, numbers in one, or masks than its behavior.
+        UnityObservationException: An agent has more or fewer observations, numbers in one, or masks than its behavior,
+            or its behavior is none that was announced.
     """
+    for name, listed in output.agentInfos.items():
+        if name not in specs and listed.value:
+            raise UnityObservationException(
+                f"The player sent agent {listed.value[0].id} of behavior {name!r}, which it has not announced; "
+                f"announced: {', '.join(specs) or 'none'}."
+            )
     for name, spec in specs.items():
         infos = output.agentInfos[name].value if name in output.agentInfos else ()
         for info in infos:
@@ -120,8 +128,10 @@ def _wrong_count(info: Any, spec: BehaviorSpec) -> str | None:
         field = f"observations[{index}]" if expected > 1 else "observation"
         if tuple(observation.shape) != tuple(of_spec.shape):
             return f"{field} of shape {tuple(observation.shape)}, but {tuple(of_spec.shape)} was expected"
-        numbers = len(observation.float_data.data)
-        if not observation.compression_type and numbers != math.prod(of_spec.shape):
+        numbers, compression = len(observation.float_data.data), observation.compression_type
+        if compression not in (UNCOMPRESSED, PNG) or (compression and len(of_spec.shape) != 3):
+            return f"{field} of shape {tuple(of_spec.shape)} in compression {compression}; only pictures may have {PNG}"
+        if not compression and numbers != math.prod(of_spec.shape):
             return f"{numbers} numbers in {field}, but {math.prod(of_spec.shape)} were expected"
     choices, masks = sum(spec.action_spec.discrete_branches), len(info.action_mask)
     if choices and masks not in (0, choices):

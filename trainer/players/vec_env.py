@@ -1,6 +1,6 @@
 """An ML-Agents environment with many agents as a Stable-Baselines3 ``VecEnv``: one slot per area."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from trainer.players.behavior import only_behavior
 from trainer.players.environment import in_two_halves
 from trainer.players.failures import BadNumbers
 from trainer.players.slots import Slots
+from trainer.players.unsupported import refuse_group_rewards, refuse_masks, refuse_other_behaviors
 
 
 class UnityVecEnv(Slots):
@@ -101,10 +102,14 @@ class UnityVecEnv(Slots):
                 area = None if error.agent is None else (self._slots | ended).get(error.agent)
                 raise error if area is None else error.in_area(area) from error
             receive = self.environment.step  # while no agent asks for a decision, there is nothing to send
+            refuse_other_behaviors(self.environment.behavior_specs, self.behavior)
             decision, terminal = self.environment.get_steps(self.behavior)
+            refuse_group_rewards(terminal)
             ended |= self._end_episodes(terminal, rewards, dones, infos)
             if len(decision):
                 break
+        refuse_group_rewards(decision)
+        refuse_masks(decision)
         self._take_decisions(decision, rewards, dones, ended)
         self._attribute_statistics(list(ended.values()), infos)
         return self._observations.copy(), rewards, dones, infos
@@ -115,6 +120,8 @@ class UnityVecEnv(Slots):
         while not len(decision):
             self.environment.step()
             decision, _ = self.environment.get_steps(self.behavior)
+        refuse_group_rewards(decision)
+        refuse_masks(decision)
         return decision
 
     def _end_episodes(
@@ -150,9 +157,11 @@ class UnityVecEnv(Slots):
         agents = decision.agent_id.tolist()
         new = [agent for agent in agents if agent not in self._slots]
         if len(new) != len(ended) or len(set(agents)) != self.num_envs:
+            silent = self._slots.keys() - set(agents)
             raise TrainerError(
-                f"{len(set(agents))} of {self.num_envs} agents asked for a decision, {len(new)} of them new while "
-                f"{len(ended)} ended; the vector path needs a fixed number of agents that decide in step."
+                f"The {self.num_envs} agents of the first message are to decide in step, but in a later one agents "
+                f"{_listed(agents)} asked for a decision, and of the others {_listed(silent)} neither asked nor ended; "
+                "give all DecisionRequesters of the scene the same period and offset, and keep the number of agents."
             )
         kept = {agent: ended[agent] for agent in new if agent in ended}
         successors = [agent for agent in new if agent not in ended]
@@ -182,6 +191,11 @@ class UnityVecEnv(Slots):
     def close(self) -> None:
         """Closes the environment."""
         self.environment.close()
+
+
+def _listed(agents: Collection[int]) -> str:
+    first = ", ".join(map(str, sorted(agents)[:5]))
+    return f"{first}{', ...' * (len(agents) > 5)}" if agents else "none"
 
 
 def check_finite(actions: NDArray[Any]) -> None:
