@@ -4,6 +4,7 @@ Beside a folder ``x`` stand, as long as a command writes to it, ``.x~lock`` and 
 takes its place, ``.x~old``: a run id has no tilde.
 """
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -104,7 +105,7 @@ def beside(folder: Path, what: str) -> Path:
 
 def mend(folder: Path) -> None:
     """Puts a folder back that a command was about to replace when it was killed."""
-    if beside(folder, "old").exists() and not folder.exists():
+    if os.path.exists(beside(folder, "old")) and not os.path.exists(folder):  # which never raise
         with suppress(TrainerError), only_writer(folder, seconds=1.0):  # or it is being replaced right now
             pass
 
