@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from trainer.drafts import only_writer
+from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.runs.folder import RunFolder
@@ -66,7 +66,8 @@ def write_study_page(folder: Path, episodes: int, console: Console) -> Path:
         "notes": notes,
     }
     report = folder / "report.html"
-    write_whole(report, page({"mode": "study", "study": study}))
+    with written(folder):
+        write_whole(report, page({"mode": "study", "study": study}))
     for note in notes:
         console.print(note, highlight=False, soft_wrap=True)
     console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)", highlight=False, soft_wrap=True)
