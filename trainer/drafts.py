@@ -4,6 +4,8 @@ Beside a folder ``x`` stand, as long as a command writes to it, ``.x~lock`` and 
 takes its place, ``.x~old``: a run id has no tilde.
 """
 
+import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -36,12 +38,20 @@ class Draft:
         self.path = beside(folder, "new") if self._whole else self._folder / WITHIN
 
     def publish(self) -> None:
-        """Moves every file to its place in the folder; or the draft takes the folder's place, whole or not at all."""
-        if self._whole:
-            with deferred():
-                self._take_place()
-            self._whole = False
-            return
+        """Moves every file to its place in the folder; or the draft takes the folder's place, whole or not at all.
+
+        Raises:
+            TrainerError: The folder can't be written.
+        """
+        with written(self._folder):
+            if self._whole:
+                with deferred():
+                    self._take_place()
+                self._whole = False
+            else:
+                self._move_files()
+
+    def _move_files(self) -> None:
         for file in sorted(each for each in self.path.rglob("*") if not each.is_dir()):
             place = self._folder / file.relative_to(self.path)
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -76,24 +86,33 @@ def only_writer(folder: Path, *, replace: bool = False, seconds: float = 0.0) ->
     place, lock = beside(folder, "lock"), FileLock(beside(folder, "lock"), timeout=seconds, fallback_to_soft=False)
     made: list[Path] = []
     try:
-        _acquire(folder, lock, made)
-        put_back(folder)
-        draft = Draft(folder, replace)
-        try:
+        with written(folder):
+            _acquire(folder, lock, made)
+            put_back(folder)
             _remove_what_was_left(folder)
-            draft.path.mkdir(parents=True)
+            draft = Draft(folder, replace)
+            draft.path.mkdir()
+        try:
             yield draft
         finally:
             shutil.rmtree(draft.path, ignore_errors=True)
-    except OSError as error:
-        raise TrainerError(f"{folder} can't be written ({error}); choose another with --results-dir.") from error
     finally:
         if lock.is_locked:
-            place.unlink(missing_ok=True)  # before it is released: who waits for it looks whether it is still there
+            with suppress(OSError):
+                place.unlink()  # before it is released: who waits for it looks whether it is still there
             lock.release()
         for each in made:
             with suppress(OSError):  # something is in it by now
                 each.rmdir()
+
+
+@contextmanager
+def written(folder: Path) -> Iterator[None]:
+    """Turns a full disk, or a folder that can't be written, into one sentence (``TrainerError``)."""
+    try:
+        yield
+    except OSError as error:
+        raise TrainerError(f"{folder} can't be written ({error}); choose another with --results-dir.") from error
 
 
 def beside(folder: Path, what: str) -> Path:
@@ -104,7 +123,7 @@ def beside(folder: Path, what: str) -> Path:
 
 def mend(folder: Path) -> None:
     """Puts a folder back that a command was about to replace when it was killed."""
-    if beside(folder, "old").exists() and not folder.exists():
+    if os.path.exists(beside(folder, "old")) and not os.path.exists(folder):  # which never raise
         with suppress(TrainerError), only_writer(folder, seconds=1.0):  # or it is being replaced right now
             pass
 
@@ -117,8 +136,9 @@ def put_back(folder: Path) -> None:
 
 
 def _remove_what_was_left(folder: Path) -> None:
-    """Removes drafts of folders and of files that a process left which was killed."""
-    for left in (beside(folder, "old"), beside(folder, "new"), *folder.glob(".*~*")):
+    """Removes drafts, of folders and of files (``whole_file``), that a process left which was killed."""
+    drafts = [each for each in folder.glob(".*~*") if each.name == WITHIN or re.search(r"~\d+$", each.name)]
+    for left in (beside(folder, "old"), beside(folder, "new"), *drafts):
         if left.is_dir():
             shutil.rmtree(left, ignore_errors=True)
         else:

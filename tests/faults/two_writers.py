@@ -9,10 +9,12 @@ an evaluation by a policy of its own; nothing lies beside it unless a process wa
 import argparse
 import csv
 import json
+import multiprocessing
+import os
 import random
 import re
 import signal
-import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -21,22 +23,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from harness import BIN
 from mlagents_envs.base_env import ActionSpec, BehaviorSpec, DimensionProperty, ObservationSpec, ObservationType
 
 from trainer.learning.stages import build_stages
+from trainer.main import main as corridor
 from trainer.runs.checkpoint import checkpoints, from_bytes
 from trainer.runs.folder import RunFolder
 from trainer.runs.onnx_file import _Nobody
 from trainer.runs.training import load_trained
 from trainer.runs.trajectories import load_trajectories
 
+PROCESSES = multiprocessing.get_context("forkserver")
+PROCESSES.set_forkserver_preload(["trainer.main", "trainer.runs.run"])
 COMMANDS = ("train", "resume", "force", "evaluate")
 REFUSALS = (
     r"Another corridor command is writing|exists in|There is no run|begun with other settings|No run|no checkpoint"
 )
 AREAS = 8
-SHORT = ("--num-areas", AREAS, "--steps", 6_000, "--eval-episodes", 4, "--timeout-wait", 120)
+SHORT = ("--num-areas", AREAS, "--steps", 3_000, "--eval-episodes", 2, "--timeout-wait", 120)
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Ended:
 
 
 def interleave(
-    results: Path, port: int, generator: random.Random, seconds: float = 15.0, commands: int = 2
+    results: Path, port: int, generator: random.Random, seconds: float = 5.0, commands: int = 2
 ) -> list[Ended]:
     """Two writers with a few commands each, of which about half are killed in the first seconds; how each ended."""
     ended: list[Ended] = []
@@ -69,19 +73,20 @@ def interleave(
     def write(writer: int) -> None:
         for what, seed, pause, killed in plans[writer]:
             time.sleep(pause)
-            process = _start(results, port + 10 * writer, what, seed)
-            try:
-                _, said = process.communicate(timeout=killed)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                _, said = process.communicate()
-            ended.append(Ended(what, process.returncode, said))
+            log = logs / f"{writer}.log"
+            process = _start(results, port + 10 * writer, what, seed, log)
+            process.join(killed)
+            process.kill()
+            process.join()
+            ended.append(Ended(what, process.exitcode or 0, log.read_text()))
 
     writers = [threading.Thread(target=write, args=(writer,)) for writer in range(2)]
-    for each in writers:
-        each.start()
-    for each in writers:
-        each.join()
+    with tempfile.TemporaryDirectory() as folder:
+        logs = Path(folder)
+        for each in writers:
+            each.start()
+        for each in writers:
+            each.join()
     return ended
 
 
@@ -130,15 +135,24 @@ def _check_played(folder: RunFolder) -> None:
         assert np.abs(actions - episode.actions).max() < 1e-4, "another policy was played"
 
 
-def _start(results: Path, port: int, what: str, seed: int) -> "subprocess.Popen[str]":
+def _start(results: Path, port: int, what: str, seed: int, log: Path) -> "multiprocessing.process.BaseProcess":
+    """A corridor command in a process of its own, with what it imports imported: that takes longest."""
     where = ["--results-dir", str(results), "--base-port", str(port)]
     if what == "evaluate":
-        arguments = ["evaluate", "mine", *where, "--episodes", "4"]
+        arguments = ["evaluate", "mine", *where, "--episodes", "2"]
     else:
         flags = [] if what == "train" else [f"--{what}"]
         arguments = ["train", "--run-id", "mine", *where, "--seed", str(seed), *map(str, SHORT), *flags]
-    command = [str(BIN / "corridor"), *arguments]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = PROCESSES.Process(target=_run, args=(arguments, log))
+    process.start()
+    return process
+
+
+def _run(arguments: list[str], log: Path) -> None:
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 2)
+        sys.stdout = sys.stderr = file
+        sys.exit(corridor(arguments))
 
 
 def main() -> None:
@@ -150,7 +164,9 @@ def main() -> None:
     options = parser.parse_args()
     generator, began, codes = random.Random(options.seed), time.monotonic(), Counter[tuple[str, int]]()
     with tempfile.TemporaryDirectory() as folder:
-        assert _start(Path(folder), options.base_port, "train", 0).wait() == 0
+        first = _start(Path(folder), options.base_port, "train", 0, Path(folder) / "log")
+        first.join()
+        assert first.exitcode == 0
         seconds = time.monotonic() - began  # on this machine, today
         for number in range(options.times):
             if number % 5 == 0:  # with a folder that former interleavings left, and without

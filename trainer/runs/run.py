@@ -10,7 +10,7 @@ from rich.table import Table
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, corridor_of, is_corridor
-from trainer.drafts import Draft
+from trainer.drafts import Draft, written
 from trainer.errors import TrainerError
 from trainer.learning.algorithm_state import policy_sha256
 from trainer.learning.sb3_zip import load_sb3_policy
@@ -208,7 +208,8 @@ def evaluate_run(
         TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
     evaluation = play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)
-    _save_evaluation(config, RunFolder(draft.path), evaluation)
+    with written(folder.path):
+        _save_evaluation(config, RunFolder(draft.path), evaluation)
     draft.publish()
     _show_evaluation(config, folder, evaluation)
 

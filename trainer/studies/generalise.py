@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from corridor_server.corridor import observation as layout
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
-from trainer.drafts import Draft
+from trainer.drafts import Draft, written
 from trainer.errors import TrainerError
 from trainer.learning.stages import build_stages
 from trainer.players.failures import PlayerLogs
@@ -273,10 +273,11 @@ def run_generalise(
                         progress.advance(task)
                     cells[-1][-1].append(Cell(panel.title, change, evaluations))
 
-    save(heat_maps(shown, cells), draft.path / "generalise.png")
-    _write_cells(cells, draft.path / "cells.csv")
     report = _report(shown, cells, [config.run_id for config in configs], episodes, command)
-    (draft.path / "report.md").write_text(report, encoding="utf-8")
+    with written(target):
+        save(heat_maps(shown, cells), draft.path / "generalise.png")
+        _write_cells(cells, draft.path / "cells.csv")
+        (draft.path / "report.md").write_text(report, encoding="utf-8")
     draft.publish()
     console.print(report)
     console.print(f"Report: {target / 'report.md'}")

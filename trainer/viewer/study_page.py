@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from trainer.drafts import only_writer
+from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.runs.folder import RunFolder, is_file
@@ -65,7 +65,8 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
         "notes": notes,
     }
     report = folder / "report.html"
-    write_whole(report, page({"mode": "study", "study": study}))
+    with written(folder):
+        write_whole(report, page({"mode": "study", "study": study}))
     for note in notes:
         console.print(note)
     console.print(f"{report} ({report.stat().st_size / 1e6:.2f} MB)")
