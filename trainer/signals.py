@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 CLEAN_SECONDS = 1.2  # for a clean stop; then it is interrupted
+SAVING_SECONDS = 10.0  # for what follows a clean stop: a moment, but on a disk or a machine that is busy
 CLOSING_SECONDS = 0.4  # for what is open to be closed; then the process ends as it is
 SHOW_CURSOR = b"\x1b[?25h"
 
@@ -24,13 +25,14 @@ class _Stop:
     Attributes:
         asked: Whether a signal has come.
         interrupted: Whether ``KeyboardInterrupt`` was raised for it: what comes next ends the process.
+        clean: Whether training has stopped for it, and is being saved.
         waits: Whether it waits for what must not be cut.
         holds: How many such things are under way.
         listener: Stops cleanly when told to.
     """
 
     def __init__(self) -> None:
-        self.asked = self.interrupted = self.waits = False
+        self.asked = self.interrupted = self.clean = self.waits = False
         self.holds = 0
         self.listener: StopSignals | None = None
 
@@ -98,8 +100,9 @@ class StopSignals:
         _stop.listener = self
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, *exception: object) -> None:
         _stop.listener = None
+        _stop.clean = self.received and kind is None
 
 
 @contextmanager
@@ -107,6 +110,16 @@ def deferred() -> Iterator[None]:
     """Lets a signal wait for what is quickly done and must not be cut: saving, closing a player."""
     if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
         yield
+        return
+    if signal.getsignal(signal.SIGINT) != _stop.receive:  # somebody else's program, which uses this as a library
+        received: list[int] = []
+        former = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, former)
+            if received:
+                signal.raise_signal(signal.SIGINT)
         return
     _stop.holds += 1
     try:
@@ -143,6 +156,8 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 def _insist() -> None:
     time.sleep(CLEAN_SECONDS)
+    if _stop.clean:
+        time.sleep(SAVING_SECONDS - CLEAN_SECONDS)
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(CLOSING_SECONDS)
     _end_process("Stopped.\n")
