@@ -27,17 +27,20 @@ class _Stop:
         interrupted: Whether ``KeyboardInterrupt`` was raised for it: what comes next ends the process.
         clean: Whether training has stopped for it, and is being saved.
         waits: Whether it waits for what must not be cut.
-        holds: How many such things are under way.
+        ending: Whether the process is being ended.
+        holds: How many things that must not be cut are under way.
         listener: Stops cleanly when told to.
     """
 
     def __init__(self) -> None:
-        self.asked = self.interrupted = self.clean = self.waits = False
+        self.asked = self.interrupted = self.clean = self.waits = self.ending = False
         self.holds = 0
         self.listener: StopSignals | None = None
 
     def receive(self, number: int, frame: FrameType | None) -> None:
         """The handler of every stop signal; like all handlers, it runs in the main thread."""
+        if self.ending:
+            return
         if not self.asked:
             self.asked = True
             # What fails now fails because of the interrupt; where C code swallows that, the thread insists.
@@ -164,6 +167,7 @@ def _insist() -> None:
 
 
 def _end_process(message: str = "") -> NoReturn:
+    _stop.ending = True
     with suppress(Exception):
         kill_with_descendants(os.getpid())
     for stream in (1, 2):

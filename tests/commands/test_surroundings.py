@@ -31,6 +31,8 @@ HOSTILE = {
     "TF_CPP_MIN_LOG_LEVEL": "some",
     "GRPC_POLL_STRATEGY": "some",
     "GRPC_DNS_RESOLVER": "some",
+    "PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION": "some",
+    "TORCH_LOGS": "some",
 }
 
 
