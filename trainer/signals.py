@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 INTERRUPTED = 130  # what a shell reports for a program that Ctrl-C ended
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 CLEAN_SECONDS = 1.2  # for a clean stop; then it is interrupted
+SAVING_SECONDS = 10.0  # for what follows a clean stop: a moment, but on a disk or a machine that is busy
 CLOSING_SECONDS = 0.4  # for what is open to be closed; then the process ends as it is
 SHOW_CURSOR = b"\x1b[?25h"
 
@@ -24,18 +25,22 @@ class _Stop:
     Attributes:
         asked: Whether a signal has come.
         interrupted: Whether ``KeyboardInterrupt`` was raised for it: what comes next ends the process.
+        clean: Whether training has stopped for it, and is being saved.
         waits: Whether it waits for what must not be cut.
-        holds: How many such things are under way.
+        ending: Whether the process is being ended.
+        holds: How many things that must not be cut are under way.
         listener: Stops cleanly when told to.
     """
 
     def __init__(self) -> None:
-        self.asked = self.interrupted = self.waits = False
+        self.asked = self.interrupted = self.clean = self.waits = self.ending = False
         self.holds = 0
         self.listener: StopSignals | None = None
 
     def receive(self, number: int, frame: FrameType | None) -> None:
         """The handler of every stop signal; like all handlers, it runs in the main thread."""
+        if self.ending:
+            return
         if not self.asked:
             self.asked = True
             # What fails now fails because of the interrupt; where C code swallows that, the thread insists.
@@ -98,8 +103,9 @@ class StopSignals:
         _stop.listener = self
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, *exception: object) -> None:
         _stop.listener = None
+        _stop.clean = self.received and kind is None
 
 
 @contextmanager
@@ -107,6 +113,16 @@ def deferred() -> Iterator[None]:
     """Lets a signal wait for what is quickly done and must not be cut: saving, closing a player."""
     if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
         yield
+        return
+    if signal.getsignal(signal.SIGINT) != _stop.receive:  # somebody else's program, which uses this as a library
+        received: list[int] = []
+        former = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, former)
+            if received:
+                signal.raise_signal(signal.SIGINT)
         return
     _stop.holds += 1
     try:
@@ -143,12 +159,15 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 def _insist() -> None:
     time.sleep(CLEAN_SECONDS)
+    if _stop.clean:
+        time.sleep(SAVING_SECONDS - CLEAN_SECONDS)
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(CLOSING_SECONDS)
     _end_process("Stopped.\n")
 
 
 def _end_process(message: str = "") -> NoReturn:
+    _stop.ending = True
     with suppress(Exception):
         kill_with_descendants(os.getpid())
     for stream in (1, 2):

@@ -1,13 +1,22 @@
 """What the environment of a command's process says to libraries, for other programs, and would break this one."""
 
 import os
+import sys
 import warnings
+from io import TextIOWrapper
+
+# Libraries that find an unknown value in these raise, and gRPC aborts the process.
+MISREAD = ("GRPC_POLL_STRATEGY", "PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION", "TORCH_LOGS")
 
 
 def ignore_surroundings() -> None:
     """Keeps it out of this process and of those that it starts."""
     os.environ["MPLBACKEND"] = "agg"  # Jupyter names one that may not be installed; there is no window here
-    os.environ.pop("GRPC_POLL_STRATEGY", None)  # gRPC aborts the process for one that it does not know
+    for name in MISREAD:
+        os.environ.pop(name, None)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # it is None where it was closed
+            stream.reconfigure(errors="replace")  # a terminal that knows ASCII only gets question marks
     if "error" in os.environ.get("PYTHONWARNINGS", ""):  # libraries warn, and nobody here can mend it
         del os.environ["PYTHONWARNINGS"]
         warnings.resetwarnings()

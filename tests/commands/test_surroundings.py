@@ -10,9 +10,9 @@ from conftest import BIN, unused_port
 PROXY = "http://127.0.0.1:9"  # nobody is there
 HOSTILE = {
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",  # Jupyter's, which is not installed here
-    "MPLCONFIGDIR": "/proc/none",
     "MATPLOTLIBRC": "/proc/none",
     "HOME": "/proc/none",
+    "XDG_CACHE_HOME": str(Path.home() / ".cache"),  # where matplotlib's list of fonts is, or it makes one each time
     "TMPDIR": "/proc/none",
     **dict.fromkeys(("http_proxy", "https_proxy", "grpc_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY"), PROXY),
     "COLUMNS": "0",
@@ -31,6 +31,8 @@ HOSTILE = {
     "TF_CPP_MIN_LOG_LEVEL": "some",
     "GRPC_POLL_STRATEGY": "some",
     "GRPC_DNS_RESOLVER": "some",
+    "PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION": "some",
+    "TORCH_LOGS": "some",
 }
 
 

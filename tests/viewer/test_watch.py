@@ -245,7 +245,7 @@ def test_a_port_in_use_and_a_clean_end(tmp_path):
         assert process.stdout
         assert "http://127.0.0.1:" in process.stdout.readline()
         process.send_signal(number)
-        assert process.wait(30) == 0
+        assert process.wait(30) == 130
         process.stdout.close()
 
 
