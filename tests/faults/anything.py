@@ -12,9 +12,11 @@ import contextlib
 import http.client
 import io
 import json
+import logging
 import os
 import re
 import socket
+import sys
 import threading
 import time
 import warnings
@@ -81,7 +83,6 @@ class Entries:
         self.record = {"run": Train("run").run_config().as_dict()}
         self.places = list(leaves(self.record))
         self.run = RunFolder(folder / "results" / "run")
-        self.run.checkpoints.mkdir(parents=True)
         (folder / "file").touch()
         self.server = PageServer(folder / "results", 0)
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
@@ -93,6 +94,7 @@ class Entries:
         self.server.server_close()
 
     def _reset(self) -> None:
+        self.run.checkpoints.mkdir(parents=True, exist_ok=True)  # a case may have been to train the run anew
         self.run.configuration.write_text(yaml.safe_dump(self.record, sort_keys=False))
 
     def corridor(self, *arguments: str) -> None:
@@ -108,7 +110,7 @@ class Entries:
         counts = ("steps", "c", "seed", "num-envs", "num-areas", "penalty", "base-port", "timeout-wait", "time-scale")
         parameters = st.builds("{}={}".format, st.sampled_from(["goal_x", "\u00e9", ""]) | TEXTS, NUMBERS)
         choices: dict[str, dict[str, st.SearchStrategy[str]]] = {
-            "train --run-id run --force": {
+            "train --run-id new --force": {
                 **{f"--{name}": NUMBERS for name in counts},
                 "--restarts-rate-limit-period-s": NUMBERS,
                 "--env": ADDRESSES,
@@ -167,6 +169,7 @@ class Entries:
 
     def records(self, draw: Callable[[st.SearchStrategy[Any]], Any]) -> None:
         """A run's files: its settings, and whatever else a command reads back."""
+        self._reset()
         which = draw(st.sampled_from(["configuration", "summary", "progress", "trajectories", "checkpoint", "sb3"]))
         if which == "configuration":
             place = draw(st.sampled_from(self.places))
@@ -267,13 +270,17 @@ def says(main: Callable[[list[str]], int], arguments: list[str]) -> None:
         check_sentence(said.getvalue())
 
 
+def _log_here(path: str | None) -> None:
+    logging.getLogger("corridor_server").handlers = [logging.StreamHandler(sys.stderr)]
+
+
 @contextlib.contextmanager
 def nothing_heavy(folder: Path) -> Iterator[None]:
     """Lets entries go as far as to a player's start, and no further."""
     stops = [
         (opening, "Environment", UnityTimeOutException("Nobody came.")),
         (corridor_server.main, "Connection", ConnectionFailed("No trainer listens there.")),
-        (corridor_server.main, "_start_log", None),
+        (corridor_server.main, "_start_log", _log_here),
         (measure, "exchange_rates", TrainerError("It was not measured.")),
         (checker, "_behaviors", TrainerError("The player was not started.")),
         (executors.LocalExecutor, "run", TrainerError("The runs were not started.")),
@@ -290,6 +297,7 @@ def nothing_heavy(folder: Path) -> Iterator[None]:
             yield
     finally:
         os.chdir(former)
+        logging.getLogger("corridor_server").handlers = []
 
 
 def try_anything(
