@@ -82,6 +82,21 @@ def shown(value: object) -> str:
     return _Short().repr(value)
 
 
+def read_json(data: bytes | str) -> dict[str, Any]:
+    """The names and values of a JSON object.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        values = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("its lists or objects are nested too deep") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"it is {shown(values)}, but names and values were expected")
+    return values
+
+
 def read_mapping(path: Path) -> dict[Any, Any]:
     """The names and values of a file: YAML, or JSON where PyYAML is not installed. An empty file has none.
 

@@ -27,13 +27,16 @@ class MeasuringProcess:
 
     def __init__(self, program: Path, *arguments: object, python: str = sys.executable) -> None:
         self._command = [python, str(program), *map(str, arguments)]
-        self._process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+        try:
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+        except OSError as error:
+            raise TrainerError(f"{python} can't be started ({error.strerror}); give a Python interpreter.") from error
         self._line()
 
     def __enter__(self) -> "MeasuringProcess":

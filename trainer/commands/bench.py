@@ -1,10 +1,15 @@
 """``corridor bench``."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from corridor_server.protocol.given import Range
+from trainer.commands.shared_options import check_file
 from trainer.config import BASE_PORT
-from trainer.options import Options, Port
+from trainer.errors import TrainerError
+from trainer.options import Options
 from trainer.terminal import Terminal
 
 
@@ -18,11 +23,16 @@ class Bench(Options):
     """Draw the rate against the number of areas to this PNG file."""
     official: str | None = None
     """A Python interpreter that has Unity's published client (mlagents-envs 1.1.0), to be measured beside."""
-    base_port: Port = BASE_PORT
-    """The first of three ports for players."""
+    base_port: Annotated[int, Range(1, 65532)] = BASE_PORT
+    """The first of four ports for players."""
 
     def run(self, typed: str) -> int:
         """Measures."""
+        for option, path in (("--json", self.json), ("--plot", self.plot)):
+            if path is not None:
+                check_file(path, option)
+        if self.official is not None and shutil.which(self.official) is None:
+            raise TrainerError(f"--official {self.official} is no program; give a Python that has mlagents-envs 1.1.0.")
         from trainer.bench.measure import run_bench
 
         run_bench(self.json, self.plot, self.official, self.base_port, Terminal())

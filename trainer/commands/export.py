@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from trainer.commands.shared_options import ExistingRun
+from trainer.commands.shared_options import ExistingRun, check_file
 from trainer.terminal import Terminal
 
 
@@ -17,6 +17,7 @@ class Export:
 
     def run(self, typed: str) -> int:
         """Writes the file."""
+        check_file(self.onnx, "--onnx")
         folder = self.results.find()
         config = folder.read_config()
         from trainer.runs.onnx_file import export_run

@@ -1,5 +1,6 @@
 """Options that several commands have."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +9,7 @@ import tyro
 
 from corridor_server.protocol.given import Range
 from trainer.config import PAPER_STEPS, PresetName
+from trainer.errors import TrainerError
 from trainer.options import Count, Options
 
 if TYPE_CHECKING:
@@ -16,6 +18,16 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
 Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]
+
+
+def check_file(path: Path, option: str) -> None:
+    """Refuses a path that no file can be written to, before the work that it is for.
+
+    Raises:
+        TrainerError: It names no file, or its folder is not there or can't be written.
+    """
+    if not path.name or path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise TrainerError(f"{option} {path} can't be written; give a file's name in a folder that is there.")
 
 
 @dataclass(frozen=True)

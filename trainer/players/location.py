@@ -1,5 +1,6 @@
 """Where a player is: which program is launched, or on which address one is awaited."""
 
+import glob
 import os
 import platform
 import shutil
@@ -57,6 +58,10 @@ def launch_path(file_name: str) -> str:
     Raises:
         TrainerError: There is none, or it may not be executed.
     """
+    if glob.escape(file_name) != file_name:
+        raise TrainerError(
+            f"{file_name} has *, ? or [ in its path, which mlagents_envs takes for a pattern; move or rename it."
+        )
     path = env_utils.validate_environment_path(file_name)
     if path is None:
         if Path(file_name).suffix in FOREIGN and Path(file_name).exists():

@@ -176,9 +176,18 @@ class RunFolder:
         write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
 
     def read_progress(self) -> list[dict[str, float | None]]:
-        """The rows of ``progress.csv``; None where a column has no value yet."""
-        with self.progress.open(newline="", encoding="utf-8") as file:
-            return [{name: float(text) if text else None for name, text in row.items()} for row in csv.DictReader(file)]
+        """The rows of ``progress.csv``; None where a column has no value yet.
+
+        Raises:
+            OSError: There is no such file, or it can't be read.
+            TrainerError: It is broken.
+        """
+        try:
+            with self.progress.open(newline="", encoding="utf-8") as file:
+                rows = list(csv.DictReader(file))
+            return [{name: float(text) if text else None for name, text in row.items()} for row in rows]
+        except (csv.Error, TypeError, ValueError) as error:
+            raise TrainerError(f"{self.progress} is broken ({error}).") from error
 
     def _check_same_settings(self, config: RunConfig) -> None:
         if not self.configuration.is_file():

@@ -10,6 +10,7 @@ import numpy as np
 from stable_baselines3.common.logger import KVWriter
 from torch.utils.tensorboard import SummaryWriter
 
+from trainer.errors import TrainerError
 from trainer.files import write_whole
 
 # Columns of progress.csv and the logger's tags that fill them; the last two are timing and differ between runs.
@@ -46,8 +47,11 @@ class ProgressFile(KVWriter):
     def __init__(self, path: Path, steps: int) -> None:
         rows = []
         if steps and path.is_file():
-            with path.open(newline="", encoding="utf-8") as former:
-                rows = [row for row in csv.DictReader(former) if _steps_of(row) <= steps]
+            try:
+                with path.open(newline="", encoding="utf-8") as former:
+                    rows = [row for row in csv.DictReader(former) if _steps_of(row) <= steps]
+            except (csv.Error, ValueError) as error:
+                raise TrainerError(f"{path} is broken ({error}); delete it to go on without its rows.") from error
         with io.StringIO(newline="") as text:
             writer = csv.DictWriter(text, list(PROGRESS_COLUMNS), restval="", extrasaction="ignore")
             writer.writeheader()

@@ -6,6 +6,7 @@ from typing import Any
 
 import grpc
 
+from corridor_server.protocol.addresses import parse_address
 from trainer.errors import TrainerError
 from trainer.studies.executors import Attempt, RunOutcome, Task, Update
 from trainer.studies.store import Store
@@ -64,6 +65,11 @@ class RayExecutor:
 
     def _check_reachable(self, address: str) -> None:
         """Ray itself would try for minutes."""
+        try:
+            if parse_address(address.removeprefix("ray://")) is None:
+                raise ValueError("HOST:PORT, ray://HOST:PORT or auto was expected.")
+        except ValueError as error:
+            raise TrainerError(f"--address {address} is no Ray cluster's: {error}") from error
         channel = grpc.insecure_channel(address.removeprefix("ray://"))
         try:
             grpc.channel_ready_future(channel).result(CONNECT_SECONDS)

@@ -1,6 +1,5 @@
 """The one place that a study's runs and reports go to: a folder, or an fsspec URL such as ``s3://bucket/results``."""
 
-import json
 import shutil
 import tempfile
 import uuid
@@ -11,6 +10,7 @@ from pathlib import Path
 import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
+from corridor_server.protocol.given import read_json
 from trainer.config import RunConfig
 from trainer.drafts import only_writer
 from trainer.errors import TrainerError
@@ -35,7 +35,7 @@ class Store:
     def __init__(self, place: str) -> None:
         try:
             self.fs, self.root = fsspec.core.url_to_fs(place)
-        except (ValueError, ImportError) as error:
+        except Exception as error:  # every fsspec file system raises its own
             raise TrainerError(f"--results-dir {place} can't be used: {error}") from error
         self._is_local = isinstance(self.fs, LocalFileSystem)
         self.place = self.root if self._is_local else place.rstrip("/")
@@ -78,7 +78,7 @@ class Store:
             TrainerError: The run's own place in this study holds something else.
         """
         own = f"{self.root}/{study}/{config.run_id}"
-        others: list[str] = sorted(set(self.fs.glob(f"{self.root}/*/{config.run_id}")) - {own})
+        others = [f"{self.root}/{name}/{config.run_id}" for name in sorted(self._names_in(self.root) - {study})]
         for path in (own, *others):
             if self._has(path, config, episodes):
                 return path
@@ -129,7 +129,7 @@ class Store:
             try:
                 for name in READ:
                     self.fs.get_file(f"{path}/{name}", str(folder.path / name))
-                summary = json.loads(folder.summary.read_text(encoding="utf-8"))
+                summary = read_json(folder.summary.read_bytes())
                 return RunResult(folder.read_config(), summary, folder.read_progress(), path)
             except (OSError, ValueError) as error:
                 raise TrainerError(
@@ -156,6 +156,6 @@ class Store:
 
     def _is_finished(self, path: str, episodes: int) -> bool:
         try:
-            return bool(json.loads(self.fs.cat_file(f"{path}/summary.json"))["evaluation"]["episodes"] == episodes)
+            return bool(read_json(self.fs.cat_file(f"{path}/summary.json"))["evaluation"]["episodes"] == episodes)
         except (OSError, ValueError, KeyError, TypeError):
             return False

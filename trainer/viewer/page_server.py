@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 from corridor_server.corridor.gym_env import CorridorEnv
-from corridor_server.protocol.given import Range, shown
+from corridor_server.protocol.given import Range, read_json, shown
 from trainer.errors import TrainerError
 from trainer.terminal import Terminal
 from trainer.viewer.document import page
@@ -144,7 +144,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60  # seconds that a silent connection is kept
 
     def do_GET(self) -> None:
-        url = urlsplit(self.path)
+        try:
+            url = urlsplit(self.path)
+        except ValueError:
+            self._send(404, {"error": "There is nothing here."})
+            return
         query = parse_qs(url.query)
         if url.path == "/":
             self._page(query)
@@ -201,10 +205,9 @@ class _Handler(BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", "-1"))
             if not 0 <= length <= BODY_LIMIT:
                 return None
-            body = json.loads(self.rfile.read(length))
-        except (ValueError, RecursionError):
+            return read_json(self.rfile.read(length))
+        except ValueError:
             return None
-        return body if isinstance(body, dict) else None
 
     def _send(self, status: int, body: dict[str, Any] | str) -> None:
         is_page = isinstance(body, str)

@@ -1,12 +1,13 @@
 """A study's report as a page: claims, figures, and every curve's runs with their replays."""
 
 import base64
-import json
 import os
 import re
 from pathlib import Path
 from typing import Any
 
+from corridor_server.protocol.given import Range, read_json, shown
+from trainer.config import is_name
 from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
@@ -16,6 +17,7 @@ from trainer.terminal import Terminal
 from trainer.viewer.document import page
 from trainer.viewer.scene import run_scene
 
+SEED, SEEDS = Range(0, 2**31 - 1), Range(1, 10_000)
 CLAIMS = "claims.json"
 CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 
@@ -38,10 +40,13 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
         TrainerError: ``claims.json`` is broken, or the folder can't be written to.
     """
     try:
-        record = json.loads((folder / CLAIMS).read_text(encoding="utf-8"))
+        record = read_json((folder / CLAIMS).read_bytes())
         arms = record["arms"]
         claims = [{key: claim[key] for key in CLAIM_KEYS} for claim in record["claims"]]
-        seeds = range(record["first_seed"], record["first_seed"] + record["seeds"])
+        first, count = SEED.read(record["first_seed"], whole=True), SEEDS.read(record["seeds"], whole=True)
+        if first is None or count is None:
+            raise ValueError("its seeds are no numbers of a study")
+        seeds = range(int(first), int(first + count))
         facts = [record["command"], f"{record['seeds']} seeds", f"{record['steps']:,} steps per run"]
         groups = [
             {"name": arm["label"], "runs": [_run(folder, f"{arm['name']}-seed{seed}", episodes) for seed in seeds]}
@@ -75,6 +80,8 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
 
 def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
     """A run's line in the report; its replay is written here."""
+    if not is_name(run_id):
+        raise ValueError(f"{shown(run_id)} is no run id")
     places = [study / run_id, *sorted(study.parent.glob(f"*/{run_id}"))]
     folder = next((RunFolder(path) for path in places if (path / "configuration.yaml").is_file()), None)
     if folder is None or not folder.trajectories.is_file():
@@ -83,7 +90,7 @@ def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
     replay = folder.path / "replay.html"
     with only_writer(folder.path):
         write_whole(replay, page({"mode": "replay", "scene": scene}))
-    evaluation = json.loads(folder.summary.read_text(encoding="utf-8"))["evaluation"]
+    evaluation = read_json(folder.summary.read_bytes())["evaluation"]
     success = evaluation["success_rate"]
     facts = [
         "success unknown" if success is None else f"success {100 * success:.0f}%",

@@ -1,7 +1,6 @@
 """What the runs in a results folder have to show right now, read from their files."""
 
 import csv
-import json
 import math
 import threading
 import time
@@ -9,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from corridor_server.protocol.given import read_json
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.runs.checkpoint import kept_checkpoints
@@ -158,16 +158,18 @@ def _status(folder: RunFolder, summary: dict[str, Any] | None) -> str:
 
 def _summary(path: Path) -> dict[str, Any]:
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path.read_bytes())
     except ValueError:
         return {}
-    return summary if isinstance(summary, dict) else {}
 
 
 def _curves(path: Path) -> dict[str, list[float | None]]:
     """Columns of ``progress.csv``; a row that is not whole yet is left for the next time."""
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        rows = [row for row in csv.DictReader(file) if None not in row.values() and _number(row.get("env_steps"))]
+    try:
+        with path.open(newline="", encoding="utf-8", errors="replace") as file:
+            rows = [row for row in csv.DictReader(file) if None not in row.values() and _number(row.get("env_steps"))]
+    except csv.Error:
+        rows = []
     kept = rows[:: max(1, math.ceil(len(rows) / POINTS))]
     if rows and kept[-1] is not rows[-1]:
         kept.append(rows[-1])
