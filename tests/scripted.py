@@ -14,6 +14,7 @@ from mlagents_envs.base_env import (
     ObservationType,
     TerminalSteps,
 )
+from mlagents_envs.exception import UnityEnvironmentException
 
 BEHAVIOR = "Scripted?team=0"
 
@@ -67,6 +68,8 @@ class Scripted:
         return decision, TerminalSteps(self._observe(list(end)), rewards, interrupted, _ids(end), [0] * len(end), none)
 
     def close(self) -> None:
+        if self.closed:
+            raise UnityEnvironmentException("No Unity environment is loaded.")
         self.closed = True
 
     def _observe(self, ids: list[int]) -> list[Any]:

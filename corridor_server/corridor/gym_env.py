@@ -123,8 +123,8 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         if seed is not None or self._state is None:
             super().reset(seed=seed)
-            seed = int(self.np_random_seed) if seed is None else seed
-            self.np_random = area_generator(seed, self._area)
+            # Not the property, whose setter forgets the seed that Gymnasium reports.
+            self._np_random = area_generator(self.np_random_seed, self._area)
         self._needs_reset = False
         self._state = world.initial(self._p, self.config.num_opponents, [self.np_random])
         return world.observation(self._p, self._state)[0], {}

@@ -10,8 +10,19 @@ LOW = 2**64 - 1
 
 
 def area_generator(seed: int, area: int) -> np.random.Generator:
-    """The random stream of one area: depends on seed and area only, not on how many areas there are."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed % 2**32, spawn_key=(area,))))
+    """The random stream of one area: depends on seed and area only, not on how many areas there are.
+
+    Args:
+        seed: Any whole number from 0, kept whole; or a negative one of those that the protocol carries, an int32.
+        area: Its number.
+
+    Raises:
+        ValueError: The seed is neither.
+    """
+    if seed < -(2**31):
+        raise ValueError(f"The seed is {seed}, but a whole number from {-(2**31)} up was expected.")
+    entropy = seed if seed >= 0 else seed + 2**32
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy, spawn_key=(area,))))
 
 
 class Streams:

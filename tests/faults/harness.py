@@ -170,10 +170,12 @@ def train_with_pauses(run: Run, times: int, seconds: float, generator: random.Ra
     run.wait_for_steps(process, 1)
     for number in range(times):
         time.sleep(generator.uniform(0.2, 0.6))
+        assert process.poll() is None, "the run is over; it takes more steps"
         paused = [process.pid, *(run.players() if number % 2 else [])]
         for number_of_signal in (signal.SIGSTOP, signal.SIGCONT):
             for each in paused:
-                os.kill(each, number_of_signal)
+                with suppress(ProcessLookupError):  # a player that training is done with
+                    os.kill(each, number_of_signal)
             time.sleep(seconds if number_of_signal == signal.SIGSTOP else 0.0)
     return run.wait(process)
 

@@ -9,6 +9,7 @@ from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityObse
 from PIL import Image
 from raw_player import events, write_player
 
+from trainer.errors import TrainerError
 from trainer.players.gym_wrapper import UnityToGymWrapper
 from trainer.players.opening import open_environment
 
@@ -116,3 +117,9 @@ def test_a_build_that_announced_its_end_is_not_killed(tmp_path, free_port, caplo
         environment.kill()
     assert events(log, "quit") == [0]
     assert "timed out shutting down" not in caplog.text
+
+
+@pytest.mark.parametrize("seed", [None, 1.0, 2**31, -(2**31) - 1, 2**64])
+def test_a_seed_that_the_protocol_can_not_carry_is_refused_before_a_player_is_started(free_port, seed):
+    with pytest.raises(TrainerError, match=f"The seed is {seed}, but a whole number from -2147483648 to 2147483647"):
+        open_environment("builtin", seed=seed, num_areas=1, port=free_port, timeout_wait=1)

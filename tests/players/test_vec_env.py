@@ -7,7 +7,9 @@ import pytest
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionSpec
 from mlagents_envs.side_channel.stats_side_channel import StatsAggregationMethod, StatsSideChannel
+from sb3_contrib.common.maskable.utils import is_masking_supported
 from scripted import Scripted, spec
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor
 
 from trainer.errors import TrainerError
@@ -48,6 +50,24 @@ def test_an_ended_slot_shows_the_next_episode_and_its_info_the_last():
     assert infos[0]["terminal_observation"] == pytest.approx([1.01])
     assert infos[0]["TimeLimit.truncated"] is False
     assert infos[1] == {}
+
+
+def test_slots_have_what_sb3_asks_for_and_nothing_else():
+    env, environment = slots(({1: 0, 2: 0}, {}))
+    assert [env.has_attr(name) for name in ("render_mode", "action_space", "no_such_attribute")] == [True, True, False]
+    assert env.get_attr("render_mode") == [None, None]
+    assert env.get_attr("observation_space", indices=[1]) == [env.observation_space]
+    assert not is_masking_supported(env)
+    for ask in (lambda: env.get_attr("no"), lambda: env.set_attr("no", 1), lambda: env.env_method("no", indices=0)):
+        with pytest.raises(AttributeError, match="no"):
+            ask()
+    assert env.env_is_wrapped(Monitor) == [False, False]
+    assert env.seed(3) == [None, None]  # as of environments that can't be seeded
+    with pytest.warns(UserWarning, match="no `render_mode`"):
+        assert env.render() is None
+    env.close()
+    assert environment.closed
+    env.close()  # has no effect
 
 
 def test_an_interrupted_episode_is_a_time_limits():

@@ -29,6 +29,10 @@ def test_learning_is_followed_and_runs_lie_over_each_other(open_page, tmp_path, 
     process, address = start_watching(results, free_port)
     opened = open_page(address)
     until(opened, "document.querySelector('#notes').innerText.startsWith('There is no run yet')")
+    for _ in range(2):
+        assert opened.evaluate("location.href") == address.partition("?")[0]  # without the token
+        opened.reload()
+        until(opened, "document.querySelector('#notes')?.innerText.startsWith('There is no run yet')")
     run = recorded_run(results, "first")
     whole = run.progress.read_text().splitlines(keepends=True)
     run.progress.write_text("".join(whole[:20]))

@@ -7,7 +7,9 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from recorded_run import GOLDEN, recorded_run
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.document import PAGE
-from trainer.viewer.page_server import BODY_LIMIT, Drives, PageServer
+from trainer.viewer.page_server import BODY_LIMIT, CONNECTIONS, Drives, PageServer
 from trainer.viewer.watched_runs import QUIET_SECONDS
 
 
@@ -75,6 +77,24 @@ def test_only_its_own_page_on_loopback_is_answered(page_server, headers):
         assert status == 403
         assert list(answer) == ["error"]
     assert page_server.server_address[0] == "127.0.0.1"
+
+
+def test_slow_connections_are_bounded_and_do_not_keep_the_page_waiting(page_server):
+    before = threading.active_count()
+    own = http.client.HTTPConnection("127.0.0.1", page_server.server_port, timeout=30)
+    token = {"X-Corridor-Token": page_server.token}
+    own.request("GET", "/api/runs", headers=token)
+    assert own.getresponse().read()
+    begun = (b"", b"GET /", b"GET / HTTP/1.1\r\nHost: x\r\nX: ", b"POST / HTTP/1.1\r\nContent-Length: 9\r\n\r\n{")
+    with ExitStack() as stack:
+        for number in range(800):
+            slow = stack.enter_context(socket.create_connection(("127.0.0.1", page_server.server_port), timeout=30))
+            slow.sendall(begun[number % len(begun)])
+        assert ask(page_server, f"/?token={page_server.token}")[0] == 200
+        assert threading.active_count() <= before + CONNECTIONS
+        own.request("GET", "/api/runs", headers=token)  # on the connection that it has had before
+        assert own.getresponse().status == 200
+    own.close()
 
 
 def test_there_are_no_files(page_server, tmp_path):

@@ -5,6 +5,7 @@ import struct
 import time
 from typing import Any, Protocol
 
+import numpy as np
 from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import (
@@ -20,6 +21,7 @@ from corridor_server.protocol.addresses import LOOPBACK
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
 from corridor_server.protocol.side_channels import SideChannelError, split
+from trainer.errors import TrainerError
 from trainer.players import steps as mlagents_steps
 from trainer.players.announcements import check_behaviors, check_observation_types
 from trainer.players.channels_first import channels_last
@@ -47,6 +49,9 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     Attributes:
         exchange_seconds: Time spent in ``send`` and ``receive``, which is most of ``step``: from actions to
             observations, encoding, waiting and decoding.
+
+    Raises:
+        TrainerError: The seed is none that the protocol carries; nothing was started.
     """
 
     _env_specs: dict[str, BehaviorSpec]
@@ -60,6 +65,9 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         graphics: bool = False,
         **options: Any,
     ) -> None:
+        seed = options.get("seed", 0)
+        if not (isinstance(seed, int | np.integer) and -(2**31) <= seed < 2**31):
+            raise TrainerError(f"The seed is {seed!r}, but a whole number from {-(2**31)} to {2**31 - 1} was expected.")
         self._host = host
         self.exchange_seconds = 0.0
         self._undecided = 0

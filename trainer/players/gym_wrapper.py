@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from mlagents_envs.base_env import ActionSpec, ActionTuple, BaseEnv, DecisionSteps, TerminalSteps
 from mlagents_envs.logging_util import get_logger
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
@@ -36,7 +37,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
 
     ``terminated`` and ``truncated`` are never both true: an episode that was interrupted (``max_step_reached``) is
     truncated, every other end is terminated. Each info holds the raw ``DecisionSteps`` or ``TerminalSteps`` as
-    ``step``.
+    ``step``. ``spec`` says that it is nondeterministic: a player takes its seed when it is opened, and no other later.
 
     Args:
         unity_env: The environment; closing the wrapper closes it.
@@ -59,7 +60,8 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         allow_multiple_obs: bool = False,
         action_space_seed: int | None = None,
     ) -> None:
-        self.render_mode = "rgb_array"
+        self.spec = EnvSpec("UnityToGymWrapper-v0", nondeterministic=True)
+        self._closed = False
         self._env = unity_env
         self._env.reset()  # behaviors are only known once the player has sent agents
         self._check_behaviors()
@@ -67,6 +69,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self.group_spec = self._env.behavior_specs[self.name]
         shapes = [tuple(spec.shape) for spec in self.group_spec.observation_specs]
         self._visual_shapes = [shape for shape in shapes if len(shape) == 3]
+        self.render_mode = "rgb_array" if self._visual_shapes else None
         self._vector_size = sum(shape[0] for shape in shapes if len(shape) == 1)
         if not self._visual_shapes and not self._vector_size:
             raise UnityGymException("The environment provides no visual or vector observation.")
@@ -140,8 +143,10 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         return self._image
 
     def close(self) -> None:
-        """Closes the Unity environment."""
-        self._env.close()
+        """Closes the Unity environment; a second time has no effect."""
+        if not self._closed:
+            self._closed = True
+            self._env.close()
 
     def _decision(self) -> DecisionSteps:
         decision, _ = self._env.get_steps(self.name)

@@ -1,6 +1,6 @@
 """What every vector environment of training areas is, and what a run asks of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -35,25 +35,40 @@ class Slots(VecEnv):
         """Whether the episodes go on that were running when ``state_dict`` gave this; begins new ones otherwise."""
         return False
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """None for each slot, which says that it was not seeded: a player takes its seed when it is opened."""
+        return [None] * self.num_envs
+
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """None for each slot."""
-        return [None for _ in self._get_indices(indices)]
+        """For each slot, what it has in common with Gymnasium's environments: its spaces and ``render_mode``.
+
+        Raises:
+            AttributeError: It is another attribute, which an area doesn't have.
+        """
+        match attr_name:
+            case "render_mode":
+                value: Any = None
+            case "observation_space" | "action_space":
+                value = getattr(self, attr_name)
+            case _:
+                raise AttributeError(f"An area has no attribute {attr_name}.")
+        return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Not supported.
 
         Raises:
-            NotImplementedError: Always; use a side channel.
+            AttributeError: Always; use a side channel.
         """
-        raise NotImplementedError(f"An area has no attribute {attr_name} to set; use a side channel.")
+        raise AttributeError(f"An area has no attribute {attr_name} to set; use a side channel.")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """Not supported.
 
         Raises:
-            NotImplementedError: Always; use a side channel.
+            AttributeError: Always; use a side channel.
         """
-        raise NotImplementedError(f"An area has no method {method_name} to call; use a side channel.")
+        raise AttributeError(f"An area has no method {method_name} to call; use a side channel.")
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """Never: slots are not Gymnasium environments."""

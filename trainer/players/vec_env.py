@@ -41,6 +41,7 @@ class UnityVecEnv(Slots):
 
     def __init__(self, environment: UnityEnvironment, statistics: StatsSideChannel | None = None) -> None:
         self.environment = environment
+        self._closed = False
         self._step = in_two_halves(environment)
         self._statistics = statistics
         self.behavior, spec = only_behavior(environment)
@@ -189,8 +190,10 @@ class UnityVecEnv(Slots):
         return {name: [value for value, _ in values] for name, values in received.items()}
 
     def close(self) -> None:
-        """Closes the environment."""
-        self.environment.close()
+        """Closes the environment; a second time has no effect."""
+        if not self._closed:
+            self._closed = True
+            self.environment.close()
 
 
 def _listed(agents: Collection[int]) -> str:

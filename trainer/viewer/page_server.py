@@ -1,11 +1,15 @@
 """What ``corridor watch`` does: the page over loopback HTTP, from runs' files, which it only reads."""
 
 import hmac
+import html
 import json
 import secrets
+import socket
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -26,6 +30,17 @@ HOST = "127.0.0.1"
 BODY_LIMIT = 4096  # bytes; a request's body is an action
 FINITE = Range()
 SESSIONS = 16  # drives that are remembered; a new one ends the oldest
+CONNECTIONS = 32  # of which a browser keeps up to six
+# What comes without a token: a page that was loaded again kept it for the tab that it is in.
+REFUSAL = """<!doctype html>
+<meta charset="utf-8">
+<title>corridor watch</title>
+<p>{}</p>
+<script>
+const token = location.search ? null : sessionStorage.getItem("corridor-token");
+if (token) location.replace("/?token=" + encodeURIComponent(token));
+</script>
+"""
 
 
 def watch(results_dir: Path, port: int, console: Terminal) -> None:
@@ -54,6 +69,9 @@ def watch(results_dir: Path, port: int, console: Terminal) -> None:
 class PageServer(ThreadingHTTPServer):
     """Answers loopback requests that carry its own name and token; has no files, only the page and its questions.
 
+    Each connection has a thread. Beyond ``CONNECTIONS`` of them, a new one takes the place of the oldest that has not
+    shown the token yet, however slowly that one sends.
+
     Args:
         results_dir: The runs' folder.
         port: On loopback; 0 takes a free one.
@@ -61,6 +79,7 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = 128
 
     def __init__(self, results_dir: Path, port: int, seed: int | None = None) -> None:
         self.results_dir = results_dir
@@ -68,12 +87,47 @@ class PageServer(ThreadingHTTPServer):
         self.live = LiveEvaluations()
         self.runs = WatchedRuns(results_dir, self.live)
         self.drives = Drives(seed)
+        self._connections: dict[Any, bool] = {}  # those that are open, oldest first: has it shown the token?
+        self._places = threading.BoundedSemaphore(CONNECTIONS)
+        self._lock = threading.Lock()
         super().__init__((HOST, port), _Handler)
 
     @property
     def address(self) -> str:
         """Where the page is, token included."""
         return f"http://{HOST}:{self.server_port}/?token={self.token}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Gives a connection its thread, and its place."""
+        with self._lock:
+            if len(self._connections) == CONNECTIONS:
+                oldest = next(iter(self._connections))
+                gone = next((each for each, known in self._connections.items() if not known), oldest)
+                del self._connections[gone]
+                with suppress(OSError):
+                    gone.shutdown(socket.SHUT_RDWR)  # its thread reads an end, and ends
+        self._places.acquire()
+        with self._lock:
+            self._connections[request] = False
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Frees a connection's place."""
+        with self._lock:
+            self._connections.pop(request, None)
+        super().shutdown_request(request)
+        self._places.release()
+
+    def keep(self, request: Any) -> None:
+        """Notes that a connection has shown the token."""
+        with self._lock:
+            if request in self._connections:
+                self._connections[request] = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Says nothing of connections that break: browsers close them at any time."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
 
     def server_close(self) -> None:
         """Frees the port and ends the evaluating process."""
@@ -174,7 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _page(self, query: dict[str, list[str]]) -> None:
         problem = self._refusal(query.get("token", [""])[0])
         if problem:
-            self._send(403, {"error": problem})
+            self._send(403, REFUSAL.format(html.escape(problem)))
             return
         data = {"mode": "watch", "token": self.server.token, "results": str(self.server.results_dir)}
         self._send(200, page(data))
@@ -198,6 +252,7 @@ class _Handler(BaseHTTPRequestHandler):
             return "Only this server's own page is answered."
         if not hmac.compare_digest(token.encode(), self.server.token.encode()):
             return "This is another 'corridor watch' than the page's; open the address that it printed."
+        self.server.keep(self.connection)
         return None
 
     def _body(self) -> dict[str, Any] | None:
@@ -219,10 +274,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("X-Frame-Options", "DENY")
         self.end_headers()
-        try:
-            self.wfile.write(data)
-        except (BrokenPipeError, ConnectionResetError):
-            self.close_connection = True
+        self.wfile.write(data)
 
     def log_message(self, format: str, *args: object) -> None:
         """Says nothing: the terminal has the address in it."""

@@ -72,7 +72,18 @@ function onKeys(handle: (event: KeyboardEvent) => boolean, up: (event: KeyboardE
   document.addEventListener("keyup", up);
 }
 
+// The token leaves the address, which a history keeps and a screen shows; a reload finds it in the tab's own storage.
+function forgetAddress(token: string): void {
+  try {
+    sessionStorage.setItem("corridor-token", token);
+  } catch {
+    // The browser keeps nothing here: a reload is refused, and says what to open.
+  }
+  history.replaceState(null, "", "/");
+}
+
 function watch(data: { token: string; results: string }, stage: Stage, list: EpisodeList, keys: (event: KeyboardEvent) => boolean): void {
+  forgetAddress(data.token);
   const server = new Server(data.token);
   const learning = new Learning();
   const drive = new Drive(stage, server, say);
