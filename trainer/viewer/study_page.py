@@ -9,7 +9,7 @@ from typing import Any
 from corridor_server.protocol.given import Range, read_json, shown
 from trainer.config import is_name
 from trainer.errors import TrainerError
-from trainer.runs.folder import RunFolder, is_file
+from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.terminal import Terminal
 from trainer.viewer.document import page
@@ -22,7 +22,7 @@ CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 
 def is_study(folder: Path) -> bool:
     """Whether ``corridor study`` has reported in this folder."""
-    return is_file(folder / CLAIMS)
+    return os.path.isfile(folder / CLAIMS)
 
 
 def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
