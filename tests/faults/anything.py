@@ -225,7 +225,7 @@ class Entries:
         asked = re.sub(r"[\x00-\x20\x7f]", "_", target).encode("utf-8", "surrogateescape") or b"/"
         headers = f"Host: {address[0]}:{address[1]}", f"X-Corridor-Token: {self.server.token}", "Connection: close"
         length = f"Content-Length: {len(body or b'')}"
-        with socket.create_connection(address, timeout=60) as connection:
+        with socket.create_connection(address, timeout=600) as connection:
             lines = [method.encode() + b" " + asked + b" HTTP/1.1", *(each.encode() for each in (*headers, length))]
             connection.sendall(b"\r\n".join(lines) + b"\r\n\r\n" + (body or b""))
             answer = http.client.HTTPResponse(connection)
@@ -252,7 +252,7 @@ class Entries:
 
 def check_sentence(text: str) -> None:
     """Holds an error's message to being a sentence."""
-    if len(text) < 15 or len(text) > 8000 or "Traceback" in text:
+    if len(text) < 15 or len(text) > 40_000 or "Traceback" in text:
         raise NotOneSentenceError(f"no sentence: {text[:300]!r}")
 
 

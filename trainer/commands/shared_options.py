@@ -26,7 +26,7 @@ def check_file(path: Path, option: str) -> None:
     Raises:
         TrainerError: It names no file, or its folder is not there or can't be written.
     """
-    if not path.name or path.is_dir() or not os.access(path.parent, os.W_OK):
+    if not path.name or os.path.isdir(path) or not os.access(path.parent, os.W_OK):
         raise TrainerError(f"{option} {path} can't be written; give a file's name in a folder that is there.")
 
 

@@ -64,13 +64,13 @@ def launch_path(file_name: str) -> str:
         )
     path = env_utils.validate_environment_path(file_name)
     if path is None:
-        if Path(file_name).suffix in FOREIGN and Path(file_name).exists():
+        if Path(file_name).suffix in FOREIGN and os.path.exists(file_name):
             system, here = FOREIGN[Path(file_name).suffix], platform.system()
             raise TrainerError(
                 f"{file_name} is a build for {system}, but this machine runs {here}; choose {here} as the target "
                 "platform in Unity's Build Settings and build again."
             )
-        if Path(file_name).is_dir():
+        if os.path.isdir(file_name):
             raise TrainerError(f"{file_name} is a folder; give the path of the executable in it.")
         raise TrainerError(f"There is no player {file_name}; give the path of a build's executable.")
     if not os.access(path, os.X_OK):

@@ -91,7 +91,7 @@ class RunFolder:
         """
         for path in run_places(run, results_dir):
             mend(path)
-            if is_file(path / "configuration.yaml"):
+            if os.path.isfile(path / "configuration.yaml"):  # Path's own raises for a name that no file can have
                 return cls(path)
         raise TrainerError(f"No run {shown(run)} in {results_dir}; give a run id there, or the path of a run's folder.")
 
@@ -235,14 +235,6 @@ def run_places(run: str, results_dir: Path) -> list[Path]:
     names = run.split("/")
     inside = [results_dir / run] if all(is_name(name) for name in names) else []
     return [*inside, Path(run)]
-
-
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; there is none of a name that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

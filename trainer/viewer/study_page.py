@@ -11,7 +11,7 @@ from trainer.config import is_name
 from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
-from trainer.runs.folder import RunFolder, is_file
+from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.terminal import Terminal
 from trainer.viewer.document import page
@@ -24,7 +24,7 @@ CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 
 def is_study(folder: Path) -> bool:
     """Whether ``corridor study`` has reported in this folder."""
-    return is_file(folder / CLAIMS)
+    return os.path.isfile(folder / CLAIMS)
 
 
 def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
