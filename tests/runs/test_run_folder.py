@@ -66,9 +66,10 @@ def holder(tmp_path: Path) -> Iterator[Callable[[Path], "subprocess.Popen[str]"]
 
 
 @pytest.mark.slow
-def test_while_a_run_is_trained_every_other_writer_is_refused_and_readers_go_on(tmp_path, free_port, capsys):
+def test_while_a_run_is_trained_other_writers_are_refused_and_readers_go_on(tmp_path, free_port, capsys, request):
     run = Run(tmp_path, "mine", free_port, "--num-areas", 8, "--steps", 10_000_000)
     process = run.start()
+    request.addfinalizer(process.kill)
     run.wait_for_steps(process, 1)
     where = ("--results-dir", str(tmp_path), "--base-port", str(free_port + 1))
     for command in (
