@@ -37,14 +37,10 @@ HOSTILE = {
 
 
 @pytest.mark.slow
-def test_training_and_its_pages_ignore_what_is_said_to_other_programs(tmp_path: Path) -> None:
-    results, small = ("--results-dir", str(tmp_path)), ("--steps", "256", "--num-areas", "8", "--eval-episodes", "2")
-    train = ("train", "--run-id", "r", *results, *small, "--base-port", str(unused_port()))
-    for command in (train, ("replay", "r", *results)):
-        run = subprocess.run(
-            [str(BIN / "corridor"), *command], env={**os.environ, **HOSTILE}, capture_output=True, timeout=300
-        )
-        assert run.returncode == 0, run.stderr
-        assert b"Traceback" not in run.stderr
+def test_training_ignores_what_is_said_to_other_programs(tmp_path: Path) -> None:
+    small = ("--steps", "256", "--num-areas", "8", "--eval-episodes", "2", "--base-port", str(unused_port()))
+    command = [str(BIN / "corridor"), "train", "--run-id", "r", "--results-dir", str(tmp_path), *small]
+    run = subprocess.run(command, env={**os.environ, **HOSTILE}, capture_output=True, timeout=300)
+    assert run.returncode == 0, run.stderr
+    assert b"Traceback" not in run.stderr
     assert {path.name for path in tmp_path.glob("r/*.png")} == {"learning_curve.png", "episode_paths.png"}
-    assert (tmp_path / "r" / "replay.html").is_file()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 from trainer.config import RunConfig
-from trainer.signals import kill_with_descendants
+from trainer.signals import deferred, kill_with_descendants
 from trainer.studies.store import Store
 
 POLL_SECONDS = 0.2
@@ -108,15 +108,17 @@ class LocalExecutor:
         try:
             while waiting or running:
                 while waiting and len(running) < self.jobs:
-                    running.append(Attempt(waiting.popleft()))
+                    with deferred():  # one that nobody knows of would leave its folder
+                        running.append(Attempt(waiting.popleft()))
                 ended = [attempt for attempt in running if attempt.has_ended()]
                 running = [attempt for attempt in running if attempt not in ended]
                 outcomes = tuple(attempt.publish() for attempt in ended)
                 yield Update(len(running), sum(attempt.steps() for attempt in running), outcomes)
                 time.sleep(POLL_SECONDS if running else 0.0)
         finally:
-            for attempt in running:
-                attempt.discard()
+            with deferred():
+                for attempt in running:
+                    attempt.discard()
 
 
 class Attempt:
