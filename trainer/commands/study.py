@@ -20,7 +20,7 @@ class StudyOptions(Options):
     """A study that trains."""
 
     name: ClassVar[str]
-    seeds: Count = 5
+    seeds: Annotated[int, Range(1, 1000)] = 5
     """How many seeds; every arm has a run for each."""
     first_seed: Annotated[int, Range(0)] = 0
     """The first of them."""
