@@ -35,12 +35,13 @@ from trainer.runs.trajectories import load_trajectories
 
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["trainer.main", "trainer.runs.run"])
-COMMANDS = ("train", "resume", "force", "evaluate")
+COMMANDS = ("train", "resume", "force", "force", "evaluate")
 REFUSALS = (
     r"Another corridor command is writing|exists in|There is no run|begun with other settings|No run|no checkpoint"
 )
-AREAS = 8
-SHORT = ("--num-areas", AREAS, "--steps", 3_000, "--eval-episodes", 2, "--timeout-wait", 120)
+AREAS = 16
+SHORT = ("--num-areas", AREAS, "--eval-episodes", 2, "--timeout-wait", 120)
+STEPS = (30_000, 15_000)  # by seed: what one run leaves in the other's folder has a name of its own
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def interleave(
             (
                 generator.choice(COMMANDS),
                 generator.randrange(2),
-                generator.uniform(0.0, 0.2 * seconds),
+                generator.uniform(0.0, 0.1 * seconds),
                 generator.choice((None, generator.uniform(0.0, seconds))),
             )
             for _ in range(commands)
@@ -143,6 +144,7 @@ def _start(results: Path, port: int, what: str, seed: int, log: Path) -> "multip
     else:
         flags = [] if what == "train" else [f"--{what}"]
         arguments = ["train", "--run-id", "mine", *where, "--seed", str(seed), *map(str, SHORT), *flags]
+        arguments += ["--steps", str(STEPS[seed])]
     process = PROCESSES.Process(target=_run, args=(arguments, log))
     process.start()
     return process

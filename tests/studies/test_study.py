@@ -228,7 +228,7 @@ def test_figures_show_arms_that_the_study_has():
         (["--jobs", "0"], "--jobs is 0"),
         (["--address", "auto"], "--address auto names a Ray cluster; add --executor ray, or leave it out."),
         (["--executor", "ray", "--jobs", "2"], "--jobs is for --executor local"),
-        (["--results-dir", "/proc/nowhere"], "--results-dir /proc/nowhere can't be written"),
+        (["--results-dir", "/proc/nowhere"], "/proc/nowhere/curiosity-ratio can't be written"),
         (["--results-dir", "nothing://there"], "--results-dir nothing://there can't be used: Protocol not known"),
     ],
 )
