@@ -1,5 +1,7 @@
 """What tests share: a free port, a corridor whose numbers are easy by hand, and the commands under test."""
 
+import contextlib
+import io
 import itertools
 import os
 import shutil
@@ -46,6 +48,16 @@ MORE_PINS = ("numpy>=1.23.5,<1.24", "filelock>=3.4")
 # Below those that the system gives to outgoing connections, of which one might have the next in a row; each of the
 # processes that share the tests has its own.
 _CANDIDATES = itertools.count(10_000 + 2_000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]), 4)
+
+
+def corridor_here(*arguments: object) -> "subprocess.CompletedProcess[str]":
+    """Runs ``corridor`` in this process, which has imported everything: a process of its own takes seconds to."""
+    from trainer.main import main
+
+    typed, out, err = list(map(str, arguments)), io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(typed)
+    return subprocess.CompletedProcess(typed, code, out.getvalue(), err.getvalue())
 
 
 def unused_port() -> int:

@@ -1,7 +1,6 @@
 """A build that shares no code with this package, swapped in through ``--env``, and what its author can get wrong."""
 
 import json
-import os
 import re
 import subprocess
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import onnxruntime
 import pytest
 import yaml
-from conftest import BIN
+from conftest import BIN, corridor_here
 
 BUILD = Path(__file__).parents[1] / "unity" / "Build.x86_64"
 CORRIDOR = """
@@ -22,20 +21,19 @@ agents = [{ period = 5 }]
 """
 
 
-def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}"}  # the build runs on the first python3 found
-    command = [str(BIN / "corridor"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=environment)
+@pytest.fixture(autouse=True)
+def _python_on_the_path(monkeypatch):
+    monkeypatch.setenv("PATH", str(BIN), prepend=":")  # the build runs on the first python3 found
 
 
 def train(results: Path, port: int, *arguments: object, env: Path = BUILD) -> subprocess.CompletedProcess[str]:
     given = ("--run-id", "r", "--results-dir", results, "--base-port", port, "--env", env)
-    return corridor("train", *given, *arguments)
+    return corridor_here("train", *given, *arguments)
 
 
 @pytest.mark.slow
 def test_the_build_keeps_the_protocol_and_the_contract():
-    done = corridor("check", "--env", BUILD)
+    done = corridor_here("check", "--env", BUILD)
     assert done.returncode == 0, done.stdout
     assert "0 fail" in done.stdout
 
@@ -69,7 +67,7 @@ def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
     record = yaml.safe_load((tmp_path / "r" / "configuration.yaml").read_text())
     assert record["run"]["env_args"] == list(own[1:])
     assert record["behavior"]["discrete_branches"] == [3, 3]
-    done = corridor("export", tmp_path / "r", "--onnx", tmp_path / "Drive.onnx")
+    done = corridor_here("export", tmp_path / "r", "--onnx", tmp_path / "Drive.onnx")
     assert done.returncode == 0, done.stderr
     model = onnxruntime.InferenceSession(str(tmp_path / "Drive.onnx"))
     assert [(each.name, each.shape[1]) for each in model.get_inputs()] == [

@@ -1,7 +1,6 @@
 """``corridor export``: the policy as ML-Agents names it, equal to Stable-Baselines3's."""
 
 import dataclasses
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from conftest import BIN, unused_port
+from conftest import corridor_here, unused_port
 from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
@@ -24,10 +23,6 @@ from trainer.runs.onnx_file import _Nobody, policy_as_onnx
 from trainer.runs.training import load_trained
 
 BATCH = 4096
-
-
-def corridor(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(BIN / "corridor"), *map(str, arguments)], capture_output=True, text=True, timeout=300)
 
 
 def session(program: bytes | Path) -> onnxruntime.InferenceSession:
@@ -57,7 +52,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("results")
     port = unused_port()
     options = ("--steps", 4000, "--num-areas", 16, "--eval-episodes", 1)
-    done = corridor("train", "--run-id", "mine", "--results-dir", results, "--base-port", port, *options)
+    done = corridor_here("train", "--run-id", "mine", "--results-dir", results, "--base-port", port, *options)
     assert done.returncode == 0, done.stderr
     return results / "mine"
 
@@ -65,7 +60,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def exported(run: Path) -> Path:
     path = run / "Corridor.onnx"
-    done = corridor("export", run, "--onnx", path)
+    done = corridor_here("export", run, "--onnx", path)
     assert done.returncode == 0, done.stderr
     assert list(run.glob("*.tmp")) == []
     return path
@@ -152,7 +147,7 @@ def test_discrete_actions_and_several_observations(branches):
 
 
 def fails(run: Path, path: Path, says: str) -> None:
-    done = corridor("export", run, "--onnx", path)
+    done = corridor_here("export", run, "--onnx", path)
     message = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 1, done.stderr
     assert message.startswith("error: ")

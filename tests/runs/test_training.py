@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
-from conftest import BIN, unused_port
+from conftest import BIN, corridor_here, unused_port
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -139,9 +139,9 @@ def test_evaluate_plays_the_checkpoint_that_is_named(run, tmp_path, free_port):
     newest.rename(newest.with_stem("step-0000000001"))
     newest.write_bytes(b"damaged")
     options = ("--episodes", 20, "--results-dir", tmp_path, "--base-port", free_port)
-    assert "is damaged" in corridor("evaluate", "short", *options).stderr
-    assert "there are: step-1, " in corridor("evaluate", "short", "--checkpoint", "step-2", *options).stderr
-    done = corridor("evaluate", "short", "--checkpoint", "step-1", *options)
+    assert "is damaged" in corridor_here("evaluate", "short", *options).stderr
+    assert "there are: step-1, " in corridor_here("evaluate", "short", "--checkpoint", "step-2", *options).stderr
+    done = corridor_here("evaluate", "short", "--checkpoint", "step-1", *options)
     assert done.returncode == 0, done.stderr
     assert f"{json.loads((run / 'summary.json').read_text())['evaluation']['mean_return']:g}" in done.stdout
 

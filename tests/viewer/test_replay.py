@@ -2,12 +2,11 @@
 
 import json
 import re
-import subprocess
 
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from conftest import BIN
+from conftest import corridor_here
 from PIL import Image
 from recorded_run import recorded_run
 
@@ -20,11 +19,6 @@ from trainer.viewer.document import page
 from trainer.viewer.scene import run_scene
 
 
-def corridor(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [str(BIN / "corridor"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
-
-
 def page_data(text: str) -> dict:
     return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text)[1])
 
@@ -35,13 +29,13 @@ def trained(tmp_path_factory) -> RunFolder:
     results = tmp_path_factory.mktemp("results")
     options = ["--results-dir", results, "--base-port", 5745, "--num-areas", 8, "--num-envs", 2]
     options += ["--env-param", "opponent_speed=1.3", "--penalty", 0.3]
-    done = corridor("train", "--run-id", "r", *options, "--steps", 3000, "--eval-episodes", 12)
+    done = corridor_here("train", "--run-id", "r", *options, "--steps", 3000, "--eval-episodes", 12)
     assert done.returncode == 0, done.stderr
     return RunFolder(results / "r")
 
 
 def test_a_replay_is_a_page_a_gif_and_a_film_of_the_evaluation(trained):
-    done = corridor("replay", "r", "--results-dir", trained.path.parent)
+    done = corridor_here("replay", "r", "--results-dir", trained.path.parent)
     assert done.returncode == 0, done.stderr
     recorded = load_trajectories(trained.trajectories)
     html = (trained.path / "replay.html").read_text()
@@ -71,13 +65,13 @@ def test_a_checkpoint_is_played_by_name(trained):
     steps = json.loads(trained.summary.read_text())["env_steps"]
     before = trained.trajectories.read_bytes()
     options = ["--results-dir", trained.path.parent, "--base-port", 5745, "--episodes", 5]
-    done = corridor("replay", "r", "--checkpoint", f"step-{steps}", *options)
+    done = corridor_here("replay", "r", "--checkpoint", f"step-{steps}", *options)
     assert done.returncode == 0, done.stderr
     scene = page_data((trained.path / f"replay-step-{steps}.html").read_text())["scene"]
     assert scene["env_steps"] == steps
     assert len(scene["episodes"]) == 5
     assert trained.trajectories.read_bytes() == before  # the run's own evaluation stays
-    done = corridor("replay", "r", "--checkpoint", "step-77", *options)
+    done = corridor_here("replay", "r", "--checkpoint", "step-77", *options)
     assert done.returncode == 1
     assert f"step-{steps}" in done.stderr
 
@@ -85,7 +79,7 @@ def test_a_checkpoint_is_played_by_name(trained):
 def test_a_run_without_evaluation_is_played(trained):
     trained.trajectories.rename(trained.path / "kept.npz")
     try:
-        done = corridor("replay", "r", "--results-dir", trained.path.parent, "--base-port", 5745, "--episodes", 3)
+        done = corridor_here("replay", "r", "--results-dir", trained.path.parent, "--base-port", 5745, "--episodes", 3)
         assert done.returncode == 0, done.stderr
         assert "This run has no evaluation" in done.stdout
         assert page_data((trained.path / "replay.html").read_text())["scene"]["env_steps"] >= 3000
@@ -103,7 +97,7 @@ def test_nothing_to_show_is_one_sentence(tmp_path):
         (("replay", "broken"), f"{broken.trajectories} is broken"),
         (("replay", "broken", "--episodes", 0), "--episodes is 0"),
     ]:
-        done = corridor(*arguments, "--results-dir", tmp_path)
+        done = corridor_here(*arguments, "--results-dir", tmp_path)
         assert done.returncode == 1
         assert sentence in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
