@@ -11,6 +11,7 @@ from trainer.config import preset_run
 from trainer.corridor import CORRIDOR
 from trainer.main import main
 from trainer.runs.folder import RunFolder
+from trainer.studies import generalise
 from trainer.studies.generalise import Change, nearest, panels, play
 
 
@@ -81,13 +82,15 @@ def test_changes_reach_the_player(run):
 
 
 @pytest.mark.slow
-def test_the_command_leaves_a_report_a_table_and_a_heat_map(run, capsys):
+def test_the_command_leaves_a_report_a_table_and_a_heat_map(run, capsys, monkeypatch):
+    for changes, fewer in (("SPEEDS", (1.0, 2.0)), ("WIDTHS", (0.6,)), ("SHIFTS", (0.0,)), ("SIDES", (1.0, -1.0))):
+        monkeypatch.setattr(generalise, changes, fewer)
     assert main(["study", "generalise", "mine", "--episodes", "1", "--results-dir", str(run.path.parent)]) == 0
     folder = run.path.parent / "generalise"
     assert (folder / "generalise.png").stat().st_size > 10_000
     with (folder / "cells.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 15 + 15 + 5 + 15
+    assert len(rows) == 2 + 2 + 1 + 6
     assert {row["opponents"] for row in rows} == {"", "1", "2", "3"}
     assert "## Number of opponents" in (folder / "report.md").read_text()
 
