@@ -123,7 +123,11 @@ def beside(folder: Path, what: str) -> Path:
 
 def mend(folder: Path) -> None:
     """Puts a folder back that a command was about to replace when it was killed."""
-    if os.path.exists(beside(folder, "old")) and not os.path.exists(folder):  # which never raise
+    try:
+        old = beside(folder, "old")
+    except ValueError:  # a name that no folder can have
+        return
+    if os.path.exists(old) and not os.path.exists(folder):  # which never raise
         with suppress(TrainerError), only_writer(folder, seconds=1.0):  # or it is being replaced right now
             pass
 

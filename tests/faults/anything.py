@@ -29,7 +29,7 @@ from unittest import mock
 import yaml
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from mlagents_envs.exception import UnityTimeOutException
+from mlagents_envs.exception import UnityException, UnityTimeOutException
 from odd_values import ADDRESSES, FILES, HOSTS, NUMBERS, PATHS, TEXTS, VALUES, WRITTEN, YAML_VALUES
 
 import corridor_server.main
@@ -42,7 +42,7 @@ from trainer.commands.train import Train
 from trainer.conformance import checker
 from trainer.errors import TrainerError
 from trainer.players import opening
-from trainer.players.communicator import ExchangeCommunicator, UnityException
+from trainer.players.communicator import ExchangeCommunicator
 from trainer.players.location import place
 from trainer.runs.folder import RunFolder
 from trainer.studies import executors

@@ -19,7 +19,7 @@ def start_watching(results: Path, port: int) -> tuple[subprocess.Popen[str], str
 
 def stop(process: subprocess.Popen[str]) -> None:
     process.terminate()
-    assert process.wait(30) == 0
+    assert process.wait(30) == 130
     assert process.stdout
     process.stdout.close()
 
