@@ -5,9 +5,9 @@ import threading
 
 import grpc
 
-from corridor_server.protocol.addresses import authority, resolve
 from corridor_server.protocol.messages import API_VERSION, EXCHANGE, MAX_MESSAGE_BYTES
-from corridor_server.protocol.patience import LOOK_SECONDS, Patience
+from corridor_server.shared.addresses import authority, resolve
+from corridor_server.shared.patience import LOOK_SECONDS, Patience
 
 _OPTIONS = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),

@@ -15,9 +15,9 @@ from corridor_server.connection import Connection, ConnectionBroken, ConnectionF
 from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
 from corridor_server.decision_timing import TIMINGS
 from corridor_server.player import Player, PlayerError
-from corridor_server.protocol.addresses import LOOPBACK, PORTS, parse_host
-from corridor_server.protocol.given import Range, shown
-from corridor_server.standard_streams import drop_failing_output
+from corridor_server.shared.addresses import LOOPBACK, PORTS, parse_host
+from corridor_server.shared.given import Range, shown
+from corridor_server.shared.standard_streams import drop_failing_output
 
 EDITOR_PORT = 5004
 SEEDS = Range(-(2**31), 2**31 - 1)  # what the protocol carries

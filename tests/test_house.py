@@ -43,6 +43,7 @@ def forbidden_imports() -> list[tuple[str, str]]:
         pairs += [(module, inside) for module in every if not module.startswith(KNOW_THE_WORLD)]
     pairs += [("corridor_server.protocol.wire", "corridor_server.corridor.world")]
     pairs += [("corridor_server.protocol.messages", "corridor_server.player")]
+    pairs += [("corridor_server.shared.given", "corridor_server.protocol.wire")]
     pairs += [("corridor_server.corridor.world", "corridor_server.player")]
     return pairs + [("corridor_server.corridor.areas", module) for module in every]
 

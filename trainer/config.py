@@ -5,8 +5,8 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from corridor_server.protocol.addresses import LOOPBACK, parse_host
-from corridor_server.protocol.given import Range, shown
+from corridor_server.shared.addresses import LOOPBACK, parse_host
+from corridor_server.shared.given import Range, shown
 from trainer.corridor import CORRIDOR, DEFAULT_PENALTY, check_areas
 from trainer.errors import TrainerError
 from trainer.options import Count, Options, Port, Seconds, Seed, Steps

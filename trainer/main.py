@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(list(arguments))
     with ended_by_signals():
-        from corridor_server.standard_streams import drop_failing_output
+        from corridor_server.shared.standard_streams import drop_failing_output
 
         drop_failing_output()
         ignore_surroundings()

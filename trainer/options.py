@@ -14,7 +14,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
-from corridor_server.protocol.given import Range, shown
+from corridor_server.shared.given import Range, shown
 from trainer.errors import TrainerError
 
 Count = Annotated[int, Range(1), Range(high=10**9, otherwise="at most 1,000,000,000 was expected")]

@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from corridor_server.protocol.given import FLOAT32, Range, read_mapping, shown
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Sampler, Uniform, Value
+from corridor_server.shared.given import FLOAT32, Range, read_mapping, shown
 from trainer.config import EngineConfig
 from trainer.corridor import PENALTY, check_parameter
 from trainer.errors import TrainerError

@@ -12,7 +12,7 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.corridor.streams import area_generator
-from corridor_server.protocol.given import Range, shown
+from corridor_server.shared.given import Range, shown
 
 AREAS = Range(0, 2**31 - 1)
 Observation = NDArray[np.float32]

@@ -9,8 +9,8 @@ import numpy as np
 from corridor_server.corridor.arrays import Floats
 from corridor_server.corridor.corridor_config import CorridorConfig, settable_parameters
 from corridor_server.corridor.streams import Streams
-from corridor_server.protocol.given import shown
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform, Value
+from corridor_server.shared.given import shown
 
 SETTABLE = settable_parameters()
 

@@ -5,7 +5,7 @@ import ipaddress
 import re
 import socket
 
-from corridor_server.protocol.given import Range, shown
+from corridor_server.shared.given import Range, shown
 
 LOOPBACK = "localhost"
 PORTS = Range(1, 65535)

@@ -2,6 +2,8 @@
 
 import time
 
+# An agent that asks every twentieth fixed step, and waits for another to end first, has asked by then.
+MESSAGES_WITHOUT_DECISION = 1000
 LOOK_SECONDS = 0.2
 LAST_LOOK_SECONDS = 0.5
 PAUSE_SECONDS = 1.0  # a look that takes longer was not one: this process did not run

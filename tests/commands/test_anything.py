@@ -15,8 +15,8 @@ from anything import try_anything
 
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
-from corridor_server.protocol.addresses import free_addresses, is_loopback, parse_address, parse_host
-from corridor_server.protocol.given import Range, shown
+from corridor_server.shared.addresses import free_addresses, is_loopback, parse_address, parse_host
+from corridor_server.shared.given import Range, shown
 from trainer.commands.bench import Bench
 from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, RunConfig

@@ -10,7 +10,7 @@ from typing import Annotated
 import pytest
 import tyro
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.commands.evaluate import Evaluate
 from trainer.commands.replay import Replay
 from trainer.commands.shared_options import ExistingRun

@@ -19,7 +19,7 @@ from trainer.runs.run import _written_to
 
 PRINTS = """
 import os, sys
-from corridor_server.standard_streams import drop_failing_output
+from corridor_server.shared.standard_streams import drop_failing_output
 drop_failing_output()
 with open(sys.argv[1], "w") as file:
     print("x" * 100_000, flush=True)

@@ -8,8 +8,8 @@ import pytest
 from mlagents_envs.exception import UnityException
 from raw_player import write_player
 
+from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.errors import TrainerError
-from trainer.players.environment import MESSAGES_WITHOUT_DECISION
 from trainer.players.failures import explain
 from trainer.players.opening import open_environment
 from trainer.players.statistics_channel import Statistics
@@ -62,7 +62,7 @@ def played(folder, port: int, **options: object) -> list[dict]:
         (LATER, AGENTS + "agents[1].observations[0].compression_type = 9", "agent 1 .* compression 9; only pictures"),
         (LATER, AGENTS + "agents[1].group_reward = 0.5", "Agent 1 got a group reward of 0.5, but only agents' own"),
         (LATER, AGENTS + "del agents[1]", "agents 0 asked for a decision, and of the others 1 neither asked nor ended"),
-        (FIRST, AGENTS + "agents[1].observations[0].observation_type = 7", r"agent 1 with observations\[0\] of type 7"),
+        (FIRST, AGENTS + "agents[0].observations[0].observation_type = 7", r"observations\[0\] of agent 0 of type 7"),
         (FIRST, BRAIN + "brain.brain_name = ''", "announced behavior '' with no name"),
         (FIRST, BRAIN + "brain.action_spec.num_continuous_actions = 2**31 - 1", "2147483647 continuous actions, but 0"),
         (FIRST, BRAIN + "brain.action_spec.num_continuous_actions = -2", "with -2 continuous actions"),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.commands.shared_options import check_file
 from trainer.config import BASE_PORT
 from trainer.errors import TrainerError

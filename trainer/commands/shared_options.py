@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.config import PAPER_STEPS, PresetName
 from trainer.errors import TrainerError
 from trainer.options import Count, Options

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.commands.shared_options import RESULTS, TrainingOptions
 from trainer.config import ExecutorName, WaitOptions
 from trainer.errors import TrainerError

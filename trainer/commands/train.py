@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypedDict, cast, get_type_hints
 
 import tyro
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir, TrainingOptions
 from trainer.config import (
     PRESETS,

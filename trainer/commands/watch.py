@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from corridor_server.protocol.given import Range
+from corridor_server.shared.given import Range
 from trainer.commands.shared_options import RESULTS, ResultsDir
 from trainer.options import Options
 from trainer.terminal import Terminal

@@ -1,7 +1,7 @@
 """Trainers that misbehave: whatever they send, a player ends or goes on, and never hangs."""
 
-from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import command, initialization, step
+from corridor_server.shared.patience import Patience
 from trainer.conformance.raw_trainer import NothingReceived
 from trainer.conformance.session import Session
 from trainer.conformance.suite import Conformance, strict

@@ -9,7 +9,7 @@ from typing import Literal
 from rich.table import Table
 from rich.text import Text
 
-from corridor_server.protocol.addresses import PortInUse, authority, free_addresses
+from corridor_server.shared.addresses import PortInUse, authority, free_addresses
 from trainer.conformance import TOPICS, CorridorContract
 from trainer.conformance.suite import Conformance, is_strict
 from trainer.conformance.verdicts import NotApplicable

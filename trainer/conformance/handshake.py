@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from corridor_server.protocol.messages import API_VERSION, OK
+from corridor_server.protocol.messages import API_VERSION, OK, PNG
 from corridor_server.protocol.trainer_messages import initialization, stopping
-from trainer.conformance.session import PNG, VARIABLE_SIZE, Session, agents, pictures
+from trainer.conformance.session import VARIABLE_SIZE, Session, agents, pictures
 from trainer.conformance.suite import Conformance, needs, strict
 from trainer.conformance.verdicts import NotApplicable, expect, expect_equal
 

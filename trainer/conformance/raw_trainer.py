@@ -8,10 +8,10 @@ from typing import Any
 
 import grpc
 
-from corridor_server.protocol.addresses import authority, free_addresses
 from corridor_server.protocol.messages import API_VERSION, RESET, SERVICE, UnityMessageProto
-from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import command, initialization, step
+from corridor_server.shared.addresses import authority, free_addresses
+from corridor_server.shared.patience import Patience
 
 
 class NothingReceived(AssertionError):

@@ -11,14 +11,12 @@ import numpy as np
 
 from corridor_server.protocol.messages import OK, RESET
 from corridor_server.protocol.trainer_messages import command, step
+from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.conformance.raw_trainer import RawTrainer
 from trainer.conformance.verdicts import NotApplicable, NotAsExpected
 
 EXIT_SECONDS = 15.0
 PLAY_SECONDS = 60.0
-# An agent that asks every twentieth fixed step, and waits for another to end first, has asked by then.
-MESSAGES_WITHOUT_DECISION = 1000
-PNG = 1  # CompressionTypeProto
 VARIABLE_SIZE = 4  # DimensionProperty, of which a tensor's axis may have several
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

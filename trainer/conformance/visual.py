@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from trainer.conformance.session import PNG, Session, agents, pictures
+from corridor_server.protocol.messages import PNG
+from trainer.conformance.session import Session, agents, pictures
 from trainer.conformance.suite import Conformance, strict
 from trainer.conformance.verdicts import NotApplicable, expect, expect_equal
 

@@ -1,7 +1,7 @@
 """What a player says of itself and of its behaviors, and what is refused of that."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mlagents_envs.base_env import ActionSpec, BehaviorSpec, ObservationType
@@ -27,20 +27,22 @@ def check_hello(output: Any) -> None:
         )
 
 
-def check_behaviors(brains: Iterable[Any], known: Mapping[str, BehaviorSpec]) -> None:
-    """Refuses behaviors (BrainParametersProto) that nobody can play, and one that is announced anew as another.
+def check_behaviors(output: Any, known: Mapping[str, BehaviorSpec]) -> None:
+    """Refuses behaviors that nobody can play, and one that is announced anew as another.
 
     Args:
-        brains: As announced.
+        output: The message (UnityOutputProto) that may announce some.
         known: Those of before.
 
     Raises:
         UnityObservationException: The first of them.
     """
-    for brain in brains:
-        wrong = _wrong(brain, known.get(brain.brain_name))
+    for brain in output.rl_initialization_output.brain_parameters:
+        name = brain.brain_name
+        agents = output.rl_output.agentInfos[name].value if name in output.rl_output.agentInfos else ()
+        wrong = _wrong(brain, known.get(name)) or _wrong_observation(agents)
         if wrong is not None:
-            raise UnityObservationException(f"The player announced behavior {brain.brain_name!r} with {wrong}.")
+            raise UnityObservationException(f"The player announced behavior {name!r} with {wrong}.")
 
 
 def _wrong(brain: Any, known: BehaviorSpec | None) -> str | None:
@@ -66,17 +68,13 @@ def _wrong(brain: Any, known: BehaviorSpec | None) -> str | None:
     return None
 
 
-def check_observation_types(infos: Iterable[Any]) -> None:
-    """Refuses observations (of AgentInfoProtos) of a type that the protocol does not have.
-
-    Raises:
-        UnityObservationException: The first of them.
-    """
+def _wrong_observation(agents: Sequence[Any]) -> str | None:
     types = [each.value for each in ObservationType]
-    for info in infos:
-        for index, observation in enumerate(info.observations):
+    for agent in agents[:1]:  # of whom mlagents_envs takes what all observe
+        for index, observation in enumerate(agent.observations):
             if observation.observation_type not in types:
-                raise UnityObservationException(
-                    f"The player sent agent {info.id} with observations[{index}] of type "
-                    f"{observation.observation_type}, but one of {types} was expected."
+                return (
+                    f"observations[{index}] of agent {agent.id} of type {observation.observation_type}, but one of "
+                    f"{types} was expected"
                 )
+    return None

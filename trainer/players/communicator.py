@@ -23,11 +23,11 @@ from mlagents_envs.exception import (
     UnityWorkerInUseException,
 )
 
-from corridor_server.protocol.addresses import LOOPBACK, PortInUse, authority, free_addresses
 from corridor_server.protocol.messages import MAX_MESSAGE_BYTES, OK, SERVICE, UnityMessageProto, mistyped_field
-from corridor_server.protocol.patience import Patience
 from corridor_server.protocol.trainer_messages import stopping, trainer_message
 from corridor_server.protocol.wire_bytes import HEADER_OK
+from corridor_server.shared.addresses import LOOPBACK, PortInUse, authority, free_addresses
+from corridor_server.shared.patience import Patience
 from trainer.players.announcements import check_hello
 from trainer.signals import deferred
 

@@ -17,17 +17,16 @@ from mlagents_envs.logging_util import get_logger
 from mlagents_envs.side_channel import IncomingMessage
 from mlagents_envs.side_channel.side_channel_manager import SideChannelManager
 
-from corridor_server.protocol.addresses import LOOPBACK
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
 from corridor_server.protocol.side_channels import SideChannelError, split
+from corridor_server.shared.addresses import LOOPBACK
+from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.errors import TrainerError
 from trainer.players import steps as mlagents_steps
-from trainer.players.announcements import check_behaviors, check_observation_types
+from trainer.players.announcements import check_behaviors
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
-
-MESSAGES_WITHOUT_DECISION = 1000
 
 logger = get_logger(__name__)
 
@@ -111,9 +110,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         self._rows = mlagents_steps.rows_of(self.behavior_specs)
 
     def _update_behavior_specs(self, output: Any) -> None:
-        check_behaviors(output.rl_initialization_output.brain_parameters, self._env_specs)
-        for listed in output.rl_output.agentInfos.values():
-            check_observation_types(listed.value)
+        check_behaviors(output, self._env_specs)
         super()._update_behavior_specs(output)
 
     def _update_state(self, output: Any) -> None:

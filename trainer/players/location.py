@@ -10,8 +10,8 @@ from pathlib import Path
 from mlagents_envs import env_utils
 from mlagents_envs.environment import UnityEnvironment
 
-from corridor_server.protocol.addresses import LOOPBACK, parse_address, parse_host
-from corridor_server.protocol.given import shown
+from corridor_server.shared.addresses import LOOPBACK, parse_address, parse_host
+from corridor_server.shared.given import shown
 from trainer.errors import TrainerError
 
 BUILTIN, EDITOR = "builtin", "editor"

@@ -11,7 +11,7 @@ from mlagents_envs.exception import UnityException, UnityTimeOutException, Unity
 from mlagents_envs.side_channel.side_channel import SideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from corridor_server.protocol.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
+from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
 from trainer.config import BASE_PORT, ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from corridor_server.protocol.given import read_mapping, shown
+from corridor_server.shared.given import read_mapping, shown
 from trainer.config import RunConfig, is_name
 from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError

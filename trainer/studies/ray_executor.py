@@ -6,7 +6,7 @@ from typing import Any
 
 import grpc
 
-from corridor_server.protocol.addresses import parse_address
+from corridor_server.shared.addresses import parse_address
 from trainer.errors import TrainerError
 from trainer.studies.executors import Attempt, RunOutcome, Task, Update
 from trainer.studies.store import Store

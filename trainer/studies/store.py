@@ -10,7 +10,7 @@ from pathlib import Path
 import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
-from corridor_server.protocol.given import read_json
+from corridor_server.shared.given import read_json
 from trainer.config import RunConfig
 from trainer.drafts import only_writer
 from trainer.errors import TrainerError

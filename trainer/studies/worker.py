@@ -18,7 +18,7 @@ from trainer.surroundings import ignore_surroundings
 def main() -> int:
     """Trains and evaluates; returns the process's exit code."""
     with ended_by_signals():
-        from corridor_server.standard_streams import drop_failing_output
+        from corridor_server.shared.standard_streams import drop_failing_output
 
         drop_failing_output()
         ignore_surroundings()

@@ -18,7 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 from corridor_server.corridor.gym_env import CorridorEnv
-from corridor_server.protocol.given import Range, read_json, shown
+from corridor_server.shared.given import Range, read_json, shown
 from trainer.errors import TrainerError
 from trainer.terminal import Terminal
 from trainer.viewer.document import page

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from corridor_server.protocol.given import Range, read_json, shown
+from corridor_server.shared.given import Range, read_json, shown
 from trainer.config import is_name
 from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError

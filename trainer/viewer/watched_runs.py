@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from corridor_server.protocol.given import read_json
+from corridor_server.shared.given import read_json
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.runs.checkpoint import kept_checkpoints
