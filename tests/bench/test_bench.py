@@ -18,6 +18,7 @@ SMALL = Workload(
     rounds=1,
     seconds=0.05,
     train_steps={"fast": 4000, "paper": 300},
+    train_rounds=1,
     players=((1, 8), (2, 4)),
     memory_steps={"1e6": 2000, "1e7": 4000},
 )

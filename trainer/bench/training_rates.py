@@ -60,10 +60,10 @@ def player_rates(port: int, workload: Workload) -> list[dict[str, Any]]:
 
 
 def _train_in_turn(kinds: Mapping[Any, list[str]], port: int, workload: Workload) -> dict[Any, list[dict[str, Any]]]:
-    """Summaries of two runs with each kind's options."""
+    """Summaries of the runs with each kind's options."""
     summaries: dict[Any, list[dict[str, Any]]] = {kind: [] for kind in kinds}
     with tempfile.TemporaryDirectory() as folder:
-        for kind, options in [*kinds.items()] * 2:
+        for kind, options in [*kinds.items()] * workload.train_rounds:
             steps = workload.train_steps["paper" if "paper" in options else "fast"]
             command = [sys.executable, "-m", "trainer.main", "train", "--run-id", "bench", "--results-dir", folder]
             command += ["--force", "--steps", str(steps), "--base-port", str(port), "--eval-episodes", "1", *options]

@@ -13,6 +13,7 @@ class Workload:
         rounds: How often each rate is measured; the median counts.
         seconds: How long each measurement of a rate lasts.
         train_steps: Agent steps of a training run, by preset.
+        train_rounds: How often each training run is made; the median counts.
         players: Pairs of players and areas in each, as many areas in all of them.
         memory_areas: In the player whose memory is measured.
         memory_steps: Agent steps after which memory is measured, by the name that the report gives them.
@@ -22,6 +23,7 @@ class Workload:
     rounds: int = 5
     seconds: float = 0.6
     train_steps: Mapping[str, int] = field(default_factory=lambda: {"fast": 400_000, "paper": 20_000})
+    train_rounds: int = 2
     players: tuple[tuple[int, int], ...] = ((1, 256), (4, 64))
     memory_areas: int = 1024
     memory_steps: Mapping[str, int] = field(default_factory=lambda: {"1e6": 10**6, "1e7": 10**7})
