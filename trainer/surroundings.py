@@ -16,7 +16,7 @@ def ignore_surroundings() -> None:
         os.environ.pop(name, None)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # it is None where it was closed
-            stream.reconfigure(errors="replace")  # a terminal that knows ASCII only gets question marks
+            stream.reconfigure(errors="backslashreplace")  # as Terminal has it, for what libraries print
     if "error" in os.environ.get("PYTHONWARNINGS", ""):  # libraries warn, and nobody here can mend it
         del os.environ["PYTHONWARNINGS"]
         warnings.resetwarnings()

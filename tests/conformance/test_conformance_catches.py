@@ -150,13 +150,20 @@ def test_a_failure_says_what_came_and_what_was_expected():
     expect_equal(0, 0, "exit code")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["wrong shape"])
-def test_corridor_check_prints_a_table_and_fails(fault, tmp_path):
-    player = write_player(tmp_path, FAULTS[fault].code)
-    command = [BIN / "corridor", "check", "--env", player]
-    stripped = {**os.environ, "PYTHONOPTIMIZE": "1", "COLUMNS": "180"}  # without asserts, and each row on one line
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=stripped)
+CHECK_OBSERVATIONS = """
+import sys
+from trainer.conformance import checker, observations
+from trainer.main import main
+checker.TOPICS, checker.is_corridor = [observations.Observations], lambda name: False
+sys.exit(main(["check", "--env", sys.argv[1]]))
+"""
+
+
+def test_corridor_check_prints_a_table_and_fails_without_asserts_too(tmp_path):
+    player = write_player(tmp_path, FAULTS["wrong shape"].code)
+    command = [sys.executable, "-O", "-c", CHECK_OBSERVATIONS, player]
+    wide = {**os.environ, "COLUMNS": "180"}  # each row on one line
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=wide)
     if run.returncode != 1 or "fail" not in run.stdout:
         pytest.fail(run.stdout)
     if "shape [14] with 13 values; 14 was expected" not in run.stdout:
