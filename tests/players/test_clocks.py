@@ -11,9 +11,9 @@ import grpc
 import pytest
 from conftest import BIN
 
-from corridor_server.protocol import patience
 from corridor_server.protocol.messages import EXCHANGE, OK, QUIT, RESET, UnityMessageProto
 from corridor_server.protocol.trainer_messages import command
+from corridor_server.shared import patience
 from corridor_server.shared.patience import Patience
 from trainer.conformance.raw_trainer import RawTrainer
 from trainer.main import main

@@ -79,6 +79,7 @@ import signal, sys
 from grpc import _server
 from trainer.players.communicator import ExchangeCommunicator
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a parent may have had it ignored
 request = _server._request_call
 
 def interrupted(state):
