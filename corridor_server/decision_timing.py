@@ -3,44 +3,18 @@
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from corridor_server.protocol.agents import Agents, Behavior
-
-Statistics = Mapping[str, NDArray[np.float64]]
-
-
-class Simulation(Protocol):
-    """What a player plays: episodes that begin anew by themselves, of agents that all ask for decisions in step."""
-
-    @property
-    def behavior(self) -> Behavior:
-        """What its agents are to a trainer."""
-
-    @property
-    def restored(self) -> bool:
-        """Whether it stands where a saved state was put back, and has not moved since."""
-
-    def reset(self) -> Agents:
-        """Begins an episode for every agent, each of which asks for an action."""
-
-    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
-        """Applies an action, (n, size), to each agent that asked.
-
-        Returns:
-            Agents whose episode ended, then every agent with its next request; and the ended episodes' statistics.
-        """
+from corridor_server.protocol.agents import ActionBatch
+from corridor_server.simulations.simulation import Moment, Simulation, Statistics
 
 
 class Timing(Protocol):
     """What of a simulation goes into which message; each call is the answer to one command."""
 
-    def reset(self) -> tuple[Agents, Statistics]:
+    def reset(self) -> tuple[Moment, Statistics]:
         """Answers RESET with the next message's agents, and the statistics of those that ended."""
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
-        """Answers STEP in the same way: one action, (n, size), for each agent of the last message that asked."""
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
+        """Answers STEP in the same way: one action for each agent of the last message that asked."""
 
 
 class Together:
@@ -49,11 +23,11 @@ class Together:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
 
-    def reset(self) -> tuple[Agents, Statistics]:
+    def reset(self) -> tuple[Moment, Statistics]:
         """Begins an episode for every agent."""
         return self._simulation.reset(), {}
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Applies the actions."""
         return self._simulation.step(actions)
 
@@ -67,26 +41,27 @@ class Apart:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._requests: Agents | None = None  # for the next message
+        self._requests: Moment | None = None  # for the next message
 
-    def reset(self) -> tuple[Agents, Statistics]:
+    def reset(self) -> tuple[Moment, Statistics]:
         """Drops requests that are due, begins an episode for every agent and takes its first, idle step."""
         begun = self._simulation.reset()
         self._requests = None
         if self._simulation.restored:
             return begun, {}
-        return self.step(np.zeros((len(begun), self._simulation.behavior.continuous_actions), np.float32))
+        behaviors = self._simulation.behaviors
+        return self.step({name: ActionBatch.zeros(len(agents), behaviors[name]) for name, agents in begun.items()})
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Applies the actions, or, after a message in which nobody asked for one, gives the requests that are due."""
         if self._requests is not None:
             requests, self._requests = self._requests, None
             return requests, {}
-        agents, statistics = self._simulation.step(actions)
-        ended = agents.ended
-        if not len(ended):
-            return agents, statistics
-        self._requests = agents.deciding
+        moment, statistics = self._simulation.step(actions)
+        ended = {name: agents.ended for name, agents in moment.items()}
+        if not any(map(len, ended.values())):
+            return moment, statistics
+        self._requests = {name: agents.deciding for name, agents in moment.items()}
         return ended, statistics
 
 

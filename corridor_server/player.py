@@ -1,19 +1,21 @@
 """The life of a player: handshake, then reset and step until the trainer has had enough (protocol.md of ML-Agents)."""
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
-from corridor_server.corridor.areas import Areas
-from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
-from corridor_server.protocol.messages import API_VERSION, QUIT
+from corridor_server.protocol.messages import API_VERSION, MAX_AREAS, QUIT
+from corridor_server.protocol.pictures import PictureForm
 from corridor_server.protocol.side_channels import SideChannelError
+from corridor_server.simulations.simulation import Simulation, SimulationError
 
 logger = logging.getLogger(__name__)
 
 FAREWELL_SECONDS = 1.0
+MakeSimulation = Callable[[int, int], Simulation]  # from a seed, an int32, and how many areas are wanted
 
 
 class PlayerError(Exception):
@@ -21,36 +23,33 @@ class PlayerError(Exception):
 
 
 class Player:
-    """Serves training areas to one trainer.
+    """Serves a simulation to one trainer.
 
     Args:
         connection: An open connection.
-        config: The corridor.
+        make_simulation: Makes it, from a seed, an int32, and the number of training areas, once both are known.
         package_version: Announced in the handshake.
         seed: Used instead of the trainer's seed, if given.
         num_areas: Used where the trainer asks for one area or, as old ones do, for none.
-        camera: Width and height of a visual observation, in pixels; None sends none.
-        compressed: Send it as PNG instead of floats.
+        compressed: Send pictures as PNG instead of floats.
         decision_timing: ``together`` or ``unity`` (see ``decision_timing``).
     """
 
     def __init__(
         self,
         connection: Connection,
-        config: CorridorConfig,
+        make_simulation: MakeSimulation,
         package_version: str,
         seed: int | None = None,
         num_areas: int | None = None,
-        camera: tuple[int, int] | None = None,
         compressed: bool = True,
         decision_timing: str = "together",
     ) -> None:
         self._connection = connection
-        self._config = config
+        self._make_simulation = make_simulation
         self._package_version = package_version
         self._seed = seed
         self._num_areas = num_areas
-        self._camera = camera
         self._compressed = compressed
         self._timing = TIMINGS[decision_timing]
 
@@ -61,13 +60,14 @@ class Player:
             PlayerError: The trainer's protocol version or a message of its can't be used; it was told so.
             ConnectionBroken: The trainer is gone.
             ConnectionFailed: There is no trainer to play with.
+            SimulationError: The simulation failed; the trainer was told that the player stops.
         """
         try:
             self._play()
         except (wire.WireError, SideChannelError) as error:
             self.say_farewell()
             raise PlayerError(str(error)) from error
-        except PlayerError:
+        except (PlayerError, SimulationError):
             self.say_farewell()
             raise
 
@@ -82,27 +82,37 @@ class Player:
         parameters = wire.parameters(self._shake_hands(wire.hello(self._package_version)))
         if parameters is None:
             return
-        areas = self._areas(parameters)
-        timing: Timing = self._timing(areas)
-        camera = wire.Camera(self._compressed, _wants_channels_first(parameters.package_version))
+        simulation = self._simulation(parameters)
+        try:
+            self._serve(simulation, parameters)
+        finally:
+            simulation.close()
+        logger.info("The trainer ended the session.")
+
+    def _serve(self, simulation: Simulation, parameters: Any) -> None:
+        timing: Timing = self._timing(simulation)
+        form = PictureForm(self._compressed, _wants_channels_first(parameters.package_version))
         hybrid_actions = parameters.capabilities.hybridActions
         reply = self._shake_hands(wire.acknowledgement())
-        asked: int | None = None  # how many agents want an action; nobody was heard of yet
+        introduced: set[str] = set()
+        asked: dict[str, int] | None = None  # how many agents want an action; nobody was heard of yet
         state_wanted = False
-        while (command := wire.command(reply, areas.behavior, asked)).number != QUIT:
-            state_wanted |= self._apply_side_channels(areas, command.side_channel)
+        while (command := wire.command(reply, simulation.behaviors, asked)).number != QUIT:
+            state_wanted |= self._apply_side_channels(simulation, command.side_channel)
             if command.actions is None:  # a RESET, or a STEP before the first one
-                agents, statistics = timing.reset()
+                moment, statistics = timing.reset()
             else:
-                agents, statistics = timing.step(command.actions)
+                moment, statistics = timing.step(command.actions)
             side_channel = side_channels.write_statistics(statistics)
-            introduce, asked = asked is None, len(agents.deciding)
-            if state_wanted and asked:  # a state belongs to what a policy sees: a RESET before that changes it
-                side_channel += side_channels.write_state(areas.snapshot())
+            parts = [(simulation.behaviors[name], agents) for name, agents in moment.items() if len(agents)]
+            asked = {behavior.name: len(agents.deciding) for behavior, agents in parts}
+            if state_wanted and any(asked.values()):  # it belongs to what a policy sees: a RESET before that changes it
+                state = simulation.snapshot()
+                side_channel += b"" if state is None else side_channels.write_state(state)
                 state_wanted = False
-            message = wire.output(areas.behavior, agents, side_channel, introduce, camera, hybrid_actions)
+            message = wire.output(parts, side_channel, introduced, form, hybrid_actions)
+            introduced |= asked.keys()
             reply = self._connection.exchange(message)
-        logger.info("The trainer ended the session.")
 
     def _shake_hands(self, message: bytes) -> bytes:
         try:
@@ -112,7 +122,7 @@ class Player:
                 f"{error} That was in the handshake, where Unity's player would go on by itself; this one ends."
             ) from error
 
-    def _areas(self, parameters: Any) -> Areas:
+    def _simulation(self, parameters: Any) -> Simulation:
         theirs = parameters.communication_version
         if theirs.split(".")[0] != API_VERSION.split(".")[0]:
             raise PlayerError(
@@ -126,31 +136,37 @@ class Player:
         if not 1 <= count <= MAX_AREAS:
             raise PlayerError(f"The trainer asks for {count} areas, but 1 to {MAX_AREAS} can be served.")
         logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
-        return Areas(self._config, seed, range(count), self._camera)
+        return self._make_simulation(seed, count)
 
-    def _apply_side_channels(self, areas: Areas, buffer: bytes) -> bool:
-        """Does what the messages say; returns whether one asks for the areas' state."""
+    def _apply_side_channels(self, simulation: Simulation, buffer: bytes) -> bool:
+        """Does what the messages say; returns whether one asks for the simulation's state."""
         state_wanted = False
         for channel, payload in side_channels.split(buffer):
             if channel == side_channels.ENVIRONMENT_PARAMETERS:
                 name, value = side_channels.read_environment_parameter(payload)
                 try:
-                    areas.set_parameter(name, value)
+                    simulation.set_parameter(name, value)
                 except ValueError as error:
                     logger.warning("%s It was ignored.", error)
                 else:
                     logger.info("Environment parameter %s = %s.", name, value)
             elif channel == side_channels.ENGINE_CONFIGURATION:
                 setting = side_channels.read_engine_setting(payload)
-                logger.info("Engine setting %s noted: the corridor has no engine to set.", setting)
+                logger.info("Engine setting %s noted: there is no engine to set.", setting)
             elif channel == side_channels.AREA_STATE and payload:
-                areas.restore(side_channels.read_state(payload, areas.snapshot()))
-                logger.info("The areas go on where a saved run left them.")
+                self._restore(simulation, payload)
             elif channel == side_channels.AREA_STATE:
                 state_wanted = True
             elif channel != side_channels.TRAINING_ANALYTICS:
                 logger.warning("A message of %d bytes for unknown side channel %s was skipped.", len(payload), channel)
         return state_wanted
+
+    def _restore(self, simulation: Simulation, payload: bytes) -> None:
+        now = simulation.snapshot()
+        if now is None:
+            raise PlayerError("The trainer has a saved state to put back, but this player's simulation has none.")
+        simulation.restore(side_channels.read_state(payload, now))
+        logger.info("The areas go on where a saved run left them.")
 
 
 def _wants_channels_first(package_version: str) -> bool:

@@ -14,8 +14,9 @@ from mlagents_envs.base_env import BehaviorSpec
 
 from corridor_server.corridor import colours
 from corridor_server.corridor import observation as layout
-from corridor_server.corridor.corridor_config import MAX_AREAS, CorridorConfig
+from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.parameters import EpisodeParameters
+from corridor_server.protocol.messages import MAX_AREAS
 from corridor_server.protocol.samplers import Value
 from trainer.errors import TrainerError
 

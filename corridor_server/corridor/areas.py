@@ -1,7 +1,8 @@
 """Training areas side by side: who asks for a decision, who ended, with which reward."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,16 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
 from corridor_server.corridor.streams import Streams
-from corridor_server.protocol.agents import Agents, Behavior
+from corridor_server.protocol.agents import ActionBatch, Agents, Behavior, Sensor
 from corridor_server.protocol.samplers import Value
+from corridor_server.simulations.simulation import Simulation
 
 NAME = "Corridor"
 BEHAVIOR = f"{NAME}?team=0"
 Statistics = dict[str, Floats]
 
 
-class Areas:
+class Areas(Simulation):
     """Areas that share a config and a seed, each with its own random stream and agent, whose id is the area's number.
 
     Args:
@@ -30,7 +32,7 @@ class Areas:
         camera: Width and height of each agent's picture, in pixels; None draws none.
 
     Attributes:
-        behavior: What every area's agent is to a trainer.
+        behaviors: What every area's agent is to a trainer, by its only behavior's name.
         parameters: What the next episodes will be like.
         state: Where everything is.
         restored: Whether a saved state was put back and has not moved since; resets keep it.
@@ -41,7 +43,11 @@ class Areas:
     ) -> None:
         numbers = tuple(areas)
         self.config = config
-        self.behavior = Behavior(BEHAVIOR, world.ACTION_SIZE, (f"VectorSensor_size{config.observation_size}",))
+        size = config.observation_size
+        sensors = [Sensor.of(f"VectorSensor_size{size}", (size,))]
+        if camera is not None:  # sensors go by name, and C stands before V
+            sensors.insert(0, Sensor.of("CameraSensor", (camera[1], camera[0], 3)))
+        self._behaviors = {BEHAVIOR: Behavior(BEHAVIOR, tuple(sensors), world.ACTION_SIZE)}
         self.parameters = EpisodeParameters(config, numbers)
         self._streams = Streams(seed, numbers)
         self._camera = camera
@@ -54,6 +60,11 @@ class Areas:
 
     def __len__(self) -> int:
         return len(self._ids)
+
+    @property
+    def behaviors(self) -> Mapping[str, Behavior]:
+        """The corridor's only one."""
+        return self._behaviors
 
     def snapshot(self) -> NDArray[np.void]:
         """All that decides what happens from here on: episodes, parameters and random streams, a row per area."""
@@ -84,7 +95,7 @@ class Areas:
         if self.parameters.set(name, value):
             self._begun_by_end[:] = False
 
-    def reset(self) -> Agents:
+    def reset(self) -> dict[str, Agents]:
         """Starts a new episode in every area.
 
         An episode that began by itself when the last one ended and has not moved yet is kept: resetting after an end,
@@ -96,10 +107,10 @@ class Areas:
         if not self.restored:
             self._begin(np.flatnonzero(~self._begun_by_end))
         self._begun_by_end[:] = False
-        return self._agents(np.zeros(len(self), dtype=np.float32))
+        return {BEHAVIOR: self._agents(np.zeros(len(self), dtype=np.float32))}
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Agents, Statistics]:
-        """Applies one action, (A, 2) in area order, and begins the next episode wherever one ends.
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[dict[str, Agents], Statistics]:
+        """Applies one action per area, in area order, and begins the next episode wherever one ends.
 
         Returns:
             Agents whose episode ended, then every area's agent, both in area order: where an episode ended, with the
@@ -107,22 +118,30 @@ class Areas:
             statistics channel, (ended,) each; nothing if none ended.
         """
         self.restored = False
-        self.state, outcome = world.step(self.parameters.columns, self.state, actions.astype(np.float64))
+        of_agents = actions[BEHAVIOR].continuous.astype(np.float64)
+        self.state, outcome = world.step(self.parameters.columns, self.state, of_agents)
         agents = self._agents(outcome.reward.astype(np.float32))
         self._begun_by_end = outcome.ended
         rows = np.flatnonzero(outcome.ended)
         if not len(rows):
-            return agents, {}
+            return {BEHAVIOR: agents}, {}
         of_episodes = world.statistics(self.state, outcome)
         statistics = {f"{NAME}/{name}": values[rows] for name, values in of_episodes.items()}
         self._begin(rows)
-        return self._with_ended(agents, rows, outcome.truncated), statistics
+        return {BEHAVIOR: self._with_ended(agents, rows, outcome.truncated)}, statistics
 
     def _agents(self, rewards: NDArray[np.float32]) -> Agents:
-        observations = world.observation(self.parameters.columns, self.state)
-        images = None if self._camera is None else self._pictures(np.arange(len(self)))
         done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
-        return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, (observations,), images)
+        return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, self._observed())
+
+    def _observed(self, rows: NDArray[np.intp] | None = None) -> tuple[NDArray[Any], ...]:
+        """What the areas of these rows observe, or all of them."""
+        vectors = world.observation(self.parameters.columns, self.state)
+        if rows is not None:
+            vectors = vectors[rows]
+        if self._camera is None:
+            return (vectors,)
+        return self._pictures(np.arange(len(self)) if rows is None else rows), vectors
 
     def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: Bools) -> Agents:
         """Puts the agents of ``rows``, as their episodes ended, before all agents, where their next ones begin."""
@@ -134,13 +153,10 @@ class Areas:
         ids = np.concatenate([last.ids[rows], self._ids])
         rewards = np.concatenate([last.rewards[rows], last.rewards])
         rewards[begun] = 0.0
-        observations = np.concatenate([last.observations[0][rows], last.observations[0]])
-        observations[begun] = world.observation(self.parameters.columns, self.state)[rows]
-        images = None
-        if last.images is not None:
-            images = np.concatenate([last.images[rows], last.images])
-            images[begun] = self._pictures(rows)
-        return Agents.ungrouped(ids, rewards, done, interrupted, (observations,), images)
+        observations = tuple(np.concatenate([values[rows], values]) for values in last.observations)
+        for values, first in zip(observations, self._observed(rows), strict=True):
+            values[begun] = first
+        return Agents.ungrouped(ids, rewards, done, interrupted, observations)
 
     def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
         assert self._camera is not None

@@ -11,7 +11,6 @@ import numpy as np
 from corridor_server.corridor import observation as layout
 from corridor_server.shared import given
 
-MAX_AREAS = 2**16  # of one player
 Range = tuple[float, float]
 
 

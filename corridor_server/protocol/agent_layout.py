@@ -5,28 +5,13 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from corridor_server.protocol.agents import Sensor
 from corridor_server.protocol.row_template import Column, Parts, RowTemplate, example, repeated
 from corridor_server.protocol.varints import LONGEST, varint_size
 from corridor_server.protocol.wire_bytes import length_delimited, varint
 
 # Tags of AgentInfoProto's fields.
 _REWARD, _DONE, _INTERRUPTED, _ID, _MASK, _GROUP, _GROUP_REWARD = 0x3D, 0x40, 0x48, 0x50, 0x5A, 0x70, 0x7D
-
-
-class Sensor(NamedTuple):
-    """A vector observation, or a buffer of vectors, as it describes itself in every message.
-
-    Attributes:
-        name: Its name.
-        shape: Of its numbers.
-        dimension_properties: One per dimension (DimensionProperty), or none.
-        kind: ObservationTypeProto: 0, or 1 for a goal signal.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    dimension_properties: tuple[int, ...]
-    kind: int = 0
 
 
 class Layout(NamedTuple):

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from corridor_server.protocol.agent_columns import AgentColumns
-from corridor_server.protocol.agent_layout import AgentLayouts, AgentRow, Sensor
+from corridor_server.protocol.agent_layout import AgentLayouts, AgentRow
 from corridor_server.protocol.agent_writer import AgentWriter
-from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.agents import Agents, Sensor
 from corridor_server.protocol.varints import number_in, varint_size
 
 _SHORT_RUN = 6  # rows that are quicker read one by one

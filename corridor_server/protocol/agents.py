@@ -1,10 +1,40 @@
 """A batch of agents, in the one form that it has from a simulation to a trainer's decisions."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+# DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are; of
+# variable size, as buffers are.
+NO_PROPERTY, TRANSLATIONAL_EQUIVARIANCE, VARIABLE_SIZE = 1, 2, 4
+
+
+class Sensor(NamedTuple):
+    """An observation, as it describes itself in every message.
+
+    Attributes:
+        name: Its name.
+        shape: Of its numbers; a picture's as the peer has it, (height, width, channels) or (channels, height, width).
+        dimension_properties: One per dimension (DimensionProperty), or none.
+        kind: ObservationTypeProto: 0, or 1 for a goal signal.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dimension_properties: tuple[int, ...]
+    kind: int = 0
+
+    @classmethod
+    def of(cls, name: str, shape: tuple[int, ...]) -> "Sensor":
+        """A vector (size,), a buffer of vectors (most, size), or a picture (height, width, channels), by its shape."""
+        properties = {
+            1: (NO_PROPERTY,),
+            2: (VARIABLE_SIZE, NO_PROPERTY),
+            3: (TRANSLATIONAL_EQUIVARIANCE, TRANSLATIONAL_EQUIVARIANCE, NO_PROPERTY),
+        }
+        return cls(name, shape, properties[len(shape)])
 
 
 @dataclass(frozen=True)
@@ -13,15 +43,33 @@ class Behavior:
 
     Attributes:
         name: With its team, such as ``Corridor?team=0``.
+        sensors: What an agent observes, in the order of ``Agents.observations``.
         continuous_actions: How many numbers an action has.
-        sensors: Names of the vector observations, in the order of ``Agents.observations``.
         discrete_branches: How many choices each branch of an action has; none without discrete actions.
     """
 
     name: str
-    continuous_actions: int
-    sensors: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+    continuous_actions: int = 0
     discrete_branches: tuple[int, ...] = ()
+
+
+class ActionBatch(NamedTuple):
+    """What agents of one behavior shall do, a row each.
+
+    Attributes:
+        continuous: (n, size) float32.
+        discrete: The choice in each branch, (n, branches) int32.
+    """
+
+    continuous: NDArray[np.float32]
+    discrete: NDArray[np.int32]
+
+    @classmethod
+    def zeros(cls, count: int, behavior: Behavior) -> "ActionBatch":
+        """What Unity's agents do when nobody decides for them."""
+        size, branches = behavior.continuous_actions, len(behavior.discrete_branches)
+        return cls(np.zeros((count, size), np.float32), np.zeros((count, branches), np.int32))
 
 
 @dataclass(frozen=True)
@@ -33,22 +81,21 @@ class Agents:
         rewards: Since the agent's last batch, (n,) float32.
         done: Whose episode ended, with its last observation and reward, (n,) bool.
         interrupted: Which of those a step limit cut, (n,) bool.
-        observations: One per sensor, (n, *shape) float32; a vector's are (n, size).
+        observations: One per sensor, (n, *shape) float32; a vector's are (n, size). A picture of the player's may be
+            (n, height, width, channels) uint8.
         group_ids: The groups that agents play in, (n,) int32; 0 for an agent on its own.
         group_rewards: What the agent's group got since its last batch, apart from ``rewards``, (n,) float32.
         masks: One per discrete branch, (n, choices) bool, True for a choice that is forbidden; empty if none is.
-        images: (n, height, width, 3) uint8; None without a camera.
     """
 
     ids: NDArray[np.int32]
     rewards: NDArray[np.float32]
     done: NDArray[np.bool_]
     interrupted: NDArray[np.bool_]
-    observations: tuple[NDArray[np.float32], ...]
+    observations: tuple[NDArray[Any], ...]
     group_ids: NDArray[np.int32]
     group_rewards: NDArray[np.float32]
     masks: tuple[NDArray[np.bool_], ...] = ()
-    images: NDArray[np.uint8] | None = None
 
     @classmethod
     def ungrouped(
@@ -57,12 +104,12 @@ class Agents:
         rewards: NDArray[np.float32],
         done: NDArray[np.bool_],
         interrupted: NDArray[np.bool_],
-        observations: tuple[NDArray[np.float32], ...],
-        images: NDArray[np.uint8] | None = None,
+        observations: tuple[NDArray[Any], ...],
+        masks: tuple[NDArray[np.bool_], ...] = (),
     ) -> "Agents":
-        """Agents each on its own, whose choices are all allowed."""
+        """Agents each on its own."""
         groups, group_rewards = np.zeros(len(ids), np.int32), np.zeros(len(ids), np.float32)
-        return cls(ids, rewards, done, interrupted, observations, groups, group_rewards, images=images)
+        return cls(ids, rewards, done, interrupted, observations, groups, group_rewards, masks)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -95,5 +142,4 @@ class Agents:
             self.group_ids[rows],
             self.group_rewards[rows],
             tuple(each[rows] for each in self.masks),
-            None if self.images is None else self.images[rows],
         )

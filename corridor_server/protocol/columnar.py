@@ -4,15 +4,13 @@ The bytes are those that protobuf itself writes. Whatever does not look so, from
 parser: every reader here then returns None.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.messages import AgentActionProto
 from corridor_server.protocol.row_template import Column, Parts, RowTemplate, repeated
 from corridor_server.protocol.wire_bytes import HEADER_OK, MessageWalker, length_delimited, varint
@@ -26,29 +24,20 @@ _DEPRECATED, _CONTINUOUS, _DISCRETE = 1, 6, 7
 _ONE_BYTE = 0x7F  # the largest choice whose varint is one byte: with more, rows differ in length
 
 
-class ActionBatch(NamedTuple):
-    """What agents of one behavior shall do, a row each.
-
-    Attributes:
-        continuous: (n, size) float32.
-        discrete: The choice in each branch, (n, branches) int32.
-    """
-
-    continuous: NDArray[np.float32]
-    discrete: NDArray[np.int32]
-
-
-def write_output(behavior: str, rows: AgentRows, agents: Agents, side_channel: bytes) -> bytes:
-    """A player's message with vector observations.
+def write_output(parts: Iterable[tuple[str, AgentRows, Agents]], side_channel: bytes) -> bytes:
+    """A player's message with observations that are numbers.
 
     Args:
-        behavior: The behavior's full name.
-        rows: Of its agents.
-        agents: In the order in which they are to be read; pictures of theirs don't travel this way.
+        parts: Each behavior's full name, how its agents' rows look, and its agents in the order in which they are to be
+            read.
         side_channel: Bytes beside them.
     """
-    entry = length_delimited(_KEY, behavior.encode()) + length_delimited(_VALUE, rows.write(agents))
-    rl_output = length_delimited(_AGENT_INFOS, entry)
+    rl_output = b"".join(
+        length_delimited(
+            _AGENT_INFOS, length_delimited(_KEY, name.encode()) + length_delimited(_VALUE, rows.write(agents))
+        )
+        for name, rows, agents in parts
+    )
     if side_channel:
         rl_output += length_delimited(_OUTPUT_SIDE_CHANNEL, side_channel)
     return HEADER_OK + length_delimited(_UNITY_OUTPUT, length_delimited(_RL_OUTPUT, rl_output))
@@ -138,33 +127,43 @@ def _action_row(numbers: list[float], choices: list[int]) -> bytes:
     return length_delimited(1, action.SerializeToString())
 
 
-def read_step(data: bytes, behavior: str, size: int, branches: Sequence[int] = ()) -> tuple[ActionBatch, bytes] | None:
-    """The actions and side-channel bytes of a STEP for one behavior, as ``mlagents_envs`` or ``write_step`` writes it.
+def read_step(data: bytes, behaviors: Mapping[str, Behavior]) -> tuple[dict[str, ActionBatch], bytes] | None:
+    """The actions and side-channel bytes of a STEP, as ``mlagents_envs`` or ``write_step`` writes it.
 
     Args:
         data: The message.
-        behavior: The behavior's full name.
-        size: How many continuous numbers an action has.
-        branches: How many choices each of its discrete branches has.
+        behaviors: Those that there are, by their full names.
 
     Returns:
-        None for any other message.
+        None for any other message, and for one without actions, with another behavior, or with one twice.
     """
     walker = MessageWalker(data)
     walker.expect(HEADER_OK)
     walker.enter_last(_UNITY_INPUT)
     walker.enter_last(_RL_INPUT)
-    name, start, end = _enter_entry(walker, _AGENT_ACTIONS)
+    found: dict[str, ActionBatch] = {}
+    while walker.at(_AGENT_ACTIONS):
+        name, start, end = _enter_entry(walker, _AGENT_ACTIONS)
+        behavior = behaviors.get(name)
+        if walker.failed or behavior is None or name in found:
+            return None
+        batch = _read_actions(data, start, end, behavior)
+        if batch is None:
+            return None
+        found[name] = batch
     beside = walker.take(_INPUT_SIDE_CHANNEL) if walker.at(_INPUT_SIDE_CHANNEL) else b""
-    if walker.failed or walker.offset != len(data) or name != behavior:
-        return None
+    return None if walker.failed or walker.offset != len(data) or not found else (found, beside)
+
+
+def _read_actions(data: bytes, start: int, end: int, behavior: Behavior) -> ActionBatch | None:
+    size, branches = behavior.continuous_actions, len(behavior.discrete_branches)
     for deprecated in (True, False):
-        rows = _action_template(size, len(branches), deprecated).all(data, start, end)
+        rows = _action_template(size, branches, deprecated).all(data, start, end)
         if rows is not None:
             continuous = rows["continuous"].copy() if size else np.empty((len(rows), 0), np.float32)
             discrete = rows["discrete"].astype(np.int32) if branches else np.empty((len(rows), 0), np.int32)
             one_byte_each = not discrete.size or discrete.max() <= _ONE_BYTE
-            return (ActionBatch(continuous, discrete), beside) if one_byte_each else None
+            return ActionBatch(continuous, discrete) if one_byte_each else None
     return None
 
 

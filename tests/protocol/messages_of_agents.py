@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from corridor_server.protocol.agent_layout import Sensor
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.agents import Agents, Sensor
 from corridor_server.protocol.messages import AgentInfoProto, UnityMessageProto
 
 VECTOR = Sensor("VectorSensor_size13", (13,), (1,))

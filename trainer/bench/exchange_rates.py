@@ -13,11 +13,9 @@ from mlagents_envs.environment import UnityEnvironment
 from corridor_server.corridor.areas import BEHAVIOR, Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.protocol import columnar
-from corridor_server.protocol.agent_layout import Sensor
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.agents import ActionBatch, Agents, Sensor
 from corridor_server.protocol.messages import EXCHANGE
-from corridor_server.protocol.wire import NO_PROPERTY
 from trainer.bench.bare_server import serve
 from trainer.bench.instant_trainer import instant_trainer, zero_step
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
@@ -66,7 +64,7 @@ def world_rate(areas: int, workload: Workload) -> float:
     """Agent steps per second of the world in process."""
     corridor = Areas(CorridorConfig(), 1, range(areas))
     corridor.reset()
-    actions = np.zeros((areas, 2), np.float32)
+    actions = {BEHAVIOR: ActionBatch.zeros(areas, corridor.behaviors[BEHAVIOR])}
     rates = []
     for _ in range(workload.rounds):
         begun, count = time.perf_counter(), 0
@@ -94,8 +92,8 @@ def _echo(areas: int) -> Iterator[MeasuringProcess]:
     size = CorridorConfig().observation_size
     flags, observations = np.zeros(areas, np.bool_), np.zeros((areas, size), np.float32)
     agents = Agents.ungrouped(np.zeros(areas, np.int32), observations[:, 0], flags, flags, (observations,))
-    rows = AgentRows((Sensor(f"VectorSensor_size{size}", (size,), (NO_PROPERTY,)),))
-    request = len(columnar.write_output(BEHAVIOR, rows, agents, b""))
+    rows = AgentRows((Sensor.of(f"VectorSensor_size{size}", (size,)),))
+    request = len(columnar.write_output([(BEHAVIOR, rows, agents)], b""))
     reply = zero_step(areas)
     server, port = serve(lambda data, context: reply)
     try:

@@ -12,6 +12,7 @@ import numpy as np
 
 from corridor_server.corridor.areas import BEHAVIOR
 from corridor_server.protocol import columnar
+from corridor_server.protocol.agents import ActionBatch
 from corridor_server.protocol.messages import RESET
 from corridor_server.protocol.trainer_messages import command, initialization, stopping
 from trainer.bench.bare_server import serve
@@ -24,7 +25,7 @@ END_SECONDS = 20
 
 def zero_step(areas: int) -> bytes:
     """A STEP in which every area's agent does nothing."""
-    nothing = columnar.ActionBatch(np.zeros((areas, 2), np.float32), np.empty((areas, 0), np.int32))
+    nothing = ActionBatch(np.zeros((areas, 2), np.float32), np.empty((areas, 0), np.int32))
     return columnar.write_step({BEHAVIOR: nothing}, b"")
 
 

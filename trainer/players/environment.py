@@ -18,7 +18,8 @@ from mlagents_envs.side_channel import IncomingMessage
 from mlagents_envs.side_channel.side_channel_manager import SideChannelManager
 
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.columnar import ActionBatch, read_output, write_step
+from corridor_server.protocol.agents import ActionBatch
+from corridor_server.protocol.columnar import read_output, write_step
 from corridor_server.protocol.side_channels import SideChannelError, split
 from corridor_server.shared.addresses import LOOPBACK
 from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION

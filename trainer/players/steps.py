@@ -13,9 +13,8 @@ from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.exception import UnityObservationException
 from numpy.typing import NDArray
 
-from corridor_server.protocol.agent_layout import Sensor
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.agents import Agents
+from corridor_server.protocol.agents import Agents, Sensor
 from corridor_server.protocol.messages import PNG, UNCOMPRESSED
 from trainer.players.failures import BadNumbers
 

@@ -1,0 +1,1 @@
+"""What a player plays: any simulation, and those of Gymnasium and PettingZoo."""

@@ -1,0 +1,79 @@
+"""What a player plays: agents that ask for decisions, get rewards and end."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
+from corridor_server.protocol.samplers import Value
+
+Moment = Mapping[str, Agents]
+Statistics = Mapping[str, NDArray[np.float64]]
+
+
+class SimulationError(Exception):
+    """The simulation can't be played, or not any further; the message is for the user."""
+
+
+class Simulation(ABC):
+    """Episodes that begin anew by themselves, for a player to serve.
+
+    A moment is what happened up to the next time that anybody asks for an action: the agents of each behavior by the
+    behavior's full name. In it an agent stands at most twice, first as one whose episode ended (``done``) and then as
+    one that asks; those that ended stand before those that ask. An agent's id is its own for its life, over all its
+    episodes, and no other agent's of the simulation; ids count from 0.
+
+    Agents need not ask in step, and behaviors may come later: an agent that is in no moment is waiting or away.
+    """
+
+    restored = False  # whether it stands where a saved state was put back, and has not moved since
+
+    @property
+    @abstractmethod
+    def behaviors(self) -> Mapping[str, Behavior]:
+        """The behaviors by their full names, such as ``Corridor?team=0``: all that a moment has had so far."""
+
+    @abstractmethod
+    def reset(self) -> Moment:
+        """Begins an episode everywhere, with at least one agent that asks and none that ended.
+
+        A trainer may ask for it at any time. An episode that began by itself when the last one ended, and has not moved
+        yet, is best kept: resetting after an end, as Gymnasium's loop does, then skips none.
+        """
+
+    @abstractmethod
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
+        """Applies an action to each agent of the last moment that asked, and goes on until the next moment.
+
+        Args:
+            actions: Of each behavior that had agents that asked, in their order. Finite; choices are within their
+                branches; continuous ones may lie outside [-1, 1].
+
+        Returns:
+            The moment, in which somebody asks or ended. And numbers for the statistics channel, one per ended episode,
+            by name.
+
+        Raises:
+            SimulationError: It can't go on.
+        """
+
+    def set_parameter(self, name: str, value: Value) -> None:
+        """Sets an environment parameter, from the next episode on.
+
+        Raises:
+            ValueError: There is none of this name, or it can't have this value.
+        """
+        raise ValueError(f"{name!r} is set by the trainer, but this simulation has no environment parameters.")
+
+    def snapshot(self) -> NDArray[np.void] | None:
+        """All that decides what happens from here on, as rows of any form; None if that can't be had."""
+        return None
+
+    def restore(self, rows: NDArray[np.void]) -> None:
+        """Takes up what ``snapshot`` gave."""
+        raise NotImplementedError
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to end
+        """Ends it."""
