@@ -47,7 +47,7 @@ class Apart:
         """Drops requests that are due, begins an episode for every agent and takes its first, idle step."""
         begun = self._simulation.reset()
         self._requests = None
-        if self._simulation.restored:
+        if self._simulation.restored or not self._simulation.acts_when_idle:
             return begun, {}
         behaviors = self._simulation.behaviors
         return self.step({name: ActionBatch.zeros(len(agents), behaviors[name]) for name, agents in begun.items()})

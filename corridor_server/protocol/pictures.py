@@ -34,9 +34,7 @@ class PictureForm:
         """How an observation is described to the client; anything but a picture as it is."""
         if len(sensor.shape) != 3 or not self.channels_first:
             return sensor
-        return sensor._replace(
-            shape=_first(sensor.shape), dimension_properties=_first(sensor.dimension_properties)
-        )
+        return sensor._replace(shape=_first(sensor.shape), dimension_properties=_first(sensor.dimension_properties))
 
     def floats(self, values: NDArray[Any]) -> NDArray[np.float32]:
         """A batch's observation as numbers, in the client's order: a byte's are from 0 to 1."""

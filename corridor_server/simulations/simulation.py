@@ -17,6 +17,12 @@ class SimulationError(Exception):
     """The simulation can't be played, or not any further; the message is for the user."""
 
 
+def failed(what: str, error: Exception) -> SimulationError:
+    """What is said of an author's code that raised: one sentence with the error's own words."""
+    said = " ".join(str(error).split())[:300]
+    return SimulationError(f"{what} ({type(error).__name__}{': ' if said else ''}{said}).")
+
+
 class Simulation(ABC):
     """Episodes that begin anew by themselves, for a player to serve.
 
@@ -29,6 +35,7 @@ class Simulation(ABC):
     """
 
     restored = False  # whether it stands where a saved state was put back, and has not moved since
+    acts_when_idle = True  # whether agents act with zeros when nobody decides, as Unity's; not those that take turns
 
     @property
     @abstractmethod

@@ -1,0 +1,121 @@
+"""Gymnasium's action spaces as continuous numbers and discrete branches, and a trainer's actions back."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from corridor_server.protocol.agents import ActionBatch
+from corridor_server.simulations.simulation import SimulationError
+
+_MOST_CHOICES = 10_000  # numbers, or choices of all branches together
+
+Read = Callable[[ActionBatch], Any]  # the batched action that a trainer's are
+
+
+class ActionChoices:
+    """How actions of one space travel.
+
+    A Box's numbers are continuous: -1 and 1 are its bounds, and a number without bounds is itself. Discrete,
+    MultiDiscrete and MultiBinary are branches. Of a Dict or Tuple, all of both are.
+
+    Args:
+        space: Of one agent's action.
+        owner: Whose it is, for errors.
+
+    Attributes:
+        continuous: How many numbers.
+        branches: How many choices each branch has.
+
+    Raises:
+        SimulationError: A part can't be carried.
+    """
+
+    def __init__(self, space: spaces.Space[Any], owner: str) -> None:
+        self.continuous = 0
+        self.branches: tuple[int, ...] = ()
+        self._owner = owner
+        self._read = self._reader(space, "the action")
+        if self.continuous + sum(self.branches) > _MOST_CHOICES:
+            raise SimulationError(
+                f"{owner} has {self.continuous} numbers and {sum(self.branches)} choices in an action, but at most "
+                f"{_MOST_CHOICES} can be carried."
+            )
+
+    def read(self, actions: ActionBatch) -> Any:
+        """The actions as a vector environment's ``step`` takes them: a batch of the space's."""
+        return self._read(actions)
+
+    def forbidden(self, allowed: NDArray[Any]) -> tuple[NDArray[np.bool_], ...]:
+        """Masks as they travel, an array per branch, of those that environments give.
+
+        Args:
+            allowed: 1 for a choice that is allowed, (n, choices of all branches).
+
+        Raises:
+            SimulationError: It has another number of choices.
+        """
+        for mask in allowed[:1]:
+            self.check_mask(mask)
+        ends = np.cumsum(self.branches)[:-1].tolist()
+        return tuple(np.split(allowed == 0, ends, axis=1))
+
+    def check_mask(self, allowed: NDArray[Any]) -> None:
+        """Refuses one agent's mask of another number of choices.
+
+        Raises:
+            SimulationError: It has another one.
+        """
+        if allowed.shape != (sum(self.branches),):
+            raise SimulationError(
+                f"{self._owner} gave an action_mask of shape {allowed.shape}, but one value for each of its "
+                f"{sum(self.branches)} choices was expected."
+            )
+
+    def _reader(self, space: spaces.Space[Any], name: str) -> Read:
+        match space:
+            case spaces.Dict():
+                by_key = {key: self._reader(part, f"{name}[{key!r}]") for key, part in space.spaces.items()}
+                return lambda actions: {key: read(actions) for key, read in by_key.items()}
+            case spaces.Tuple():
+                in_order = [self._reader(part, f"{name}[{index}]") for index, part in enumerate(space.spaces)]
+                return lambda actions: tuple(read(actions) for read in in_order)
+            case spaces.Box() if space.dtype is not None and space.dtype.kind == "f":
+                return self._numbers(space)
+            case spaces.Discrete():
+                choice = self._choices((int(space.n),))
+                return lambda actions: choice(actions)[:, 0].astype(space.dtype) + space.start
+            case spaces.MultiDiscrete():
+                choices = self._choices(tuple(space.nvec.ravel().tolist()))
+                return lambda actions: choices(actions).reshape(-1, *space.shape).astype(space.dtype) + space.start
+            case spaces.MultiBinary():
+                flags = self._choices((2,) * int(np.prod(space.shape)))
+                return lambda actions: flags(actions).reshape(-1, *space.shape).astype(space.dtype)
+        of_what = f" of {space.dtype}" if isinstance(space, spaces.Box) else ""
+        raise SimulationError(
+            f"{self._owner} has {name} as {type(space).__name__}{of_what}, which can't be carried: only Box of floats, "
+            "Discrete, MultiDiscrete and MultiBinary, and Dict and Tuple of them, can; change it with a wrapper."
+        )
+
+    def _numbers(self, space: spaces.Box) -> Read:
+        mine = slice(self.continuous, self.continuous + int(np.prod(space.shape)))
+        self.continuous = mine.stop
+        low, high = space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
+        bounded = np.isfinite(low) & np.isfinite(high)
+        middle = np.where(bounded, low + (high - low) / 2, 0.0)
+        half = np.where(bounded, (high - low) / 2, 1.0)
+
+        def read(actions: ActionBatch) -> NDArray[Any]:
+            numbers = actions.continuous[:, mine].astype(np.float64)
+            within = np.where(bounded, np.clip(numbers, -1, 1), numbers)
+            scaled: NDArray[Any] = np.clip(middle + half * within, low, high).astype(space.dtype)
+            return scaled.reshape(-1, *space.shape)
+
+        return read
+
+    def _choices(self, sizes: tuple[int, ...]) -> Callable[[ActionBatch], NDArray[np.int32]]:
+        mine = slice(len(self.branches), len(self.branches) + len(sizes))
+        self.branches = (*self.branches, *sizes)
+        return lambda actions: actions.discrete[:, mine]

@@ -1,0 +1,160 @@
+"""Gymnasium's observation spaces as sensors: which part goes where, and batches of observations as arrays."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from corridor_server.protocol.agents import Sensor
+from corridor_server.simulations.simulation import SimulationError
+
+ACTION_MASK = "action_mask"  # what environments call it: 1 for a choice that is allowed
+WHOLE = "observation"  # the sensor's name where there is one
+_MOST_NUMBERS = 2**22  # of one sensor: a message has 256 MiB
+_BYTE = 255
+
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of an observation that is one sensor's."""
+
+    path: Path
+    sensor: Sensor
+    read: Callable[[NDArray[Any]], NDArray[Any]]
+
+
+class ObservationSensors:
+    """How observations of one space travel.
+
+    A vector, buffer of vectors or picture (height, width, channels) is a Box of as many dimensions; only a uint8
+    picture with all of 0 to 255 stays bytes. Discrete parts are one-hot. Parts of a Dict or Tuple are a sensor each,
+    but a Dict's ``action_mask`` is none.
+
+    Args:
+        space: Of one agent's observation.
+        owner: Whose it is, for errors.
+
+    Raises:
+        SimulationError: A part can't be carried.
+    """
+
+    def __init__(self, space: spaces.Space[Any], owner: str) -> None:
+        found = dict(_leaves(space, ()))
+        self._mask = (ACTION_MASK,) if (ACTION_MASK,) in found else None
+        self._parts = [_part(path, leaf, owner) for path, leaf in found.items() if path != self._mask]
+        if not self._parts:
+            raise SimulationError(f"{owner} observes nothing, but at least one vector or picture was expected.")
+        self.sensors = tuple(part.sensor for part in self._parts)
+
+    def read(self, batch: Any) -> tuple[NDArray[Any], ...]:
+        """A batch of observations, as Gymnasium's vector environments have it, as an array per sensor."""
+        return tuple(part.read(_at(batch, part.path)) for part in self._parts)
+
+    def mask(self, batch: Any) -> NDArray[Any] | None:
+        """Which choices the observations allow, (n, choices); None if they don't say."""
+        return None if self._mask is None else np.asarray(_at(batch, self._mask))
+
+
+def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32]) -> None:
+    """Refuses NaN and infinity.
+
+    Args:
+        values: A row per agent.
+        what: They are, for the error.
+        ids: The agents'.
+
+    Raises:
+        SimulationError: There is one.
+    """
+    finite = np.isfinite(values)
+    if np.count_nonzero(finite) < finite.size:
+        row, *place = np.argwhere(~finite)[0].tolist()
+        where = f"[{', '.join(map(str, place))}]" if place else ""
+        raise SimulationError(
+            f"The environment gave agent {int(ids[row])} {what}{where} = {float(values[row, *place])}, but finite "
+            "numbers were expected."
+        )
+
+
+def _leaves(space: spaces.Space[Any], path: Path) -> Iterator[tuple[Path, spaces.Space[Any]]]:
+    parts: Any = ()
+    if isinstance(space, spaces.Dict):
+        parts = space.spaces.items()
+    elif isinstance(space, spaces.Tuple):
+        parts = enumerate(space.spaces)
+    else:
+        yield path, space
+    for key, part in parts:
+        yield from _leaves(part, (*path, key))
+
+
+def _at(batch: Any, path: Path) -> Any:
+    for key in path:
+        batch = batch[key]
+    return batch
+
+
+def _part(path: Path, space: spaces.Space[Any], owner: str) -> _Part:
+    name = "/".join(map(str, path)) or WHOLE
+
+    def refused(why: str) -> SimulationError:
+        return SimulationError(
+            f"{owner} observes {name} as {type(space).__name__}, which can't be carried: {why}; change or leave it out "
+            "with a wrapper."
+        )
+
+    match space:
+        case spaces.Box():
+            shape = space.shape or (1,)
+            if len(shape) > 3:
+                raise refused(f"it has {len(shape)} dimensions, and an observation at most 3")
+            if space.dtype is None or space.dtype.kind not in "fiub":
+                raise refused(f"its numbers are {space.dtype}")
+            read = _bytes if _is_picture_of_bytes(space) else _floats(shape)
+        case spaces.Discrete():
+            shape, read = (int(space.n),), _one_hot(np.array([space.n]), np.array([space.start]))
+        case spaces.MultiDiscrete():
+            sizes = space.nvec.ravel()
+            shape, read = (int(sizes.sum()),), _one_hot(sizes, space.start.ravel())
+        case spaces.MultiBinary():
+            shape = (math.prod(space.shape),)
+            read = _floats(shape)
+        case _:
+            raise refused("only Box, Discrete, MultiDiscrete and MultiBinary, and Dict and Tuple of them, can")
+    if not 0 < math.prod(shape) <= _MOST_NUMBERS:
+        raise refused(f"it is {math.prod(shape)} numbers, and 1 to {_MOST_NUMBERS} were expected")
+    return _Part(path, Sensor.of(name, shape), read)
+
+
+def _is_picture_of_bytes(space: spaces.Box) -> bool:
+    whole_range = bool((space.low == 0).all() and (space.high == _BYTE).all())
+    return len(space.shape) == 3 and space.dtype == np.uint8 and whole_range
+
+
+def _bytes(values: NDArray[Any]) -> NDArray[Any]:
+    return np.array(values, np.uint8)
+
+
+def _floats(shape: tuple[int, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    def read(values: NDArray[Any]) -> NDArray[Any]:
+        return np.array(values, np.float32).reshape(len(values), *shape)
+
+    return read
+
+
+def _one_hot(sizes: NDArray[Any], starts: NDArray[Any]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    first = np.concatenate([[0], np.cumsum(sizes)[:-1]]) - starts
+
+    def read(values: NDArray[Any]) -> NDArray[Any]:
+        count = len(values)
+        ones = np.zeros((count, int(sizes.sum())), np.float32)
+        ones[np.arange(count)[:, None], np.asarray(values).reshape(count, -1) + first] = 1
+        return ones
+
+    return read

@@ -1,0 +1,294 @@
+"""Copies of a PettingZoo environment as training areas, whose agents are the players' agents."""
+
+import importlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+
+from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
+from corridor_server.protocol.samplers import Value
+from corridor_server.shared.given import shown
+from corridor_server.simulations.action_choices import ActionChoices
+from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
+from corridor_server.simulations.declared_parameters import DeclaredParameters
+from corridor_server.simulations.observation_sensors import ObservationSensors, check_finite
+from corridor_server.simulations.simulation import Moment, Simulation, SimulationError, Statistics, failed
+
+EVERY_BEHAVIOR = "*"
+
+
+@dataclass(frozen=True)
+class PettingZooEnvironment:
+    """A PettingZoo environment, and what its agents are to a trainer.
+
+    Attributes:
+        module: That has ``parallel_env`` or, for agents that take turns, ``env``.
+        arguments: Of that function.
+        behaviors: Names and the patterns of their agents' names, the first that fits counts; an agent of none is of the
+            behavior that it is named after, less its number: ``adversary_0`` is of ``adversary``.
+        teams: The behaviors' teams; 0 where none is given.
+        groups: Behaviors whose agents in an area are a group; ``*`` stands for all.
+        parameters: Attributes of the unwrapped environment that a trainer may set, beside numbers of ``arguments``.
+    """
+
+    module: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    behaviors: tuple[tuple[str, re.Pattern[str]], ...] = ()
+    teams: Mapping[str, int] = field(default_factory=dict)
+    groups: frozenset[str] = frozenset()
+    parameters: tuple[str, ...] = ()
+
+    def check(self) -> None:
+        """Makes it once.
+
+        Raises:
+            SimulationError: It can't be made, or a space can't be carried.
+        """
+        PettingZooSimulation(self, 0, 1).close()
+
+    def area(self) -> AgentArea:
+        """Makes a copy.
+
+        Raises:
+            SimulationError: It can't be made.
+        """
+        try:
+            module = importlib.import_module(self.module)
+        except Exception as error:  # whatever an author's code raises
+            raise failed(f"The module of --pettingzoo {shown(self.module)} can't be imported", error) from error
+        kinds: list[tuple[str, type[AgentArea]]] = [("parallel_env", ParallelArea), ("env", TurnsArea)]
+        for function, kind in kinds:
+            make = getattr(module, function, None)
+            if callable(make):
+                try:
+                    return kind(make, self.arguments, self.parameters)
+                except SimulationError:
+                    raise
+                except Exception as error:  # whatever an author's code raises
+                    raise failed(f"{self.module}.{function} can't be made", error) from error
+        raise SimulationError(
+            f"--pettingzoo is {shown(self.module)}, but a module with parallel_env or env was expected, such as "
+            "mpe2.simple_spread_v3."
+        )
+
+    def behavior(self, agent: str) -> str:
+        """The behavior of the agent with this name, without its team."""
+        for name, pattern in self.behaviors:
+            if pattern.fullmatch(agent):
+                return name
+        return re.sub(r"_\d+$", "", agent)
+
+
+class _Role(NamedTuple):
+    """What the agents of one behavior have in common."""
+
+    behavior: Behavior
+    sensors: ObservationSensors
+    choices: ActionChoices
+    observation_space: spaces.Space[Any]
+    action_space: spaces.Space[Any]
+    grouped: bool
+
+
+class PettingZooSimulation(Simulation):
+    """Copies of an environment.
+
+    An agent's id is its place among all possible agents of its copy, after those of the copies before it. A group's
+    number is its copy's and behavior's.
+
+    Args:
+        environment: Which.
+        seed: Copy i is reset with ``seed + i``; a negative one counts as 2^32 more.
+        num_areas: How many.
+
+    Raises:
+        SimulationError: It can't be made, or a space can't be carried.
+    """
+
+    def __init__(self, environment: PettingZooEnvironment, seed: int, num_areas: int) -> None:
+        self._environment = environment
+        self._areas = [environment.area() for _ in range(num_areas)]
+        self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
+        numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
+        self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
+        self._names = self._areas[0].possible_agents
+        self._roles = _roles(environment, self._areas[0])
+        self._role_of = {agent: self._roles[environment.behavior(agent)] for agent in self._names}
+        self._numbers = {agent: number for number, agent in enumerate(self._names)}
+        self._check_names()
+        # Per behavior's full name, who asked in the last moment, as area and agent; in their order.
+        self._asked: dict[str, list[tuple[int, str]]] = {}
+        self.acts_when_idle = not isinstance(self._areas[0], TurnsArea)
+        self._moved = np.ones(num_areas, np.bool_)  # areas whose running episode is not as it began by itself
+
+    @property
+    def behaviors(self) -> Mapping[str, Behavior]:
+        """All that its possible agents have."""
+        return {role.behavior.name: role.behavior for role in self._roles.values()}
+
+    def set_parameter(self, name: str, value: Value) -> None:
+        """Sets an argument or an attribute, from the next episode on."""
+        if self._parameters.set(name, value):
+            self._moved[:] = True
+
+    def reset(self) -> Moment:
+        """Begins an episode in every copy, but where one has just begun by itself."""
+        events = []
+        for number, area in enumerate(self._areas):
+            if self._moved[number]:
+                self._begin(number)
+            events += [(number, event) for event in area.asking()]
+        self._moved[:] = False
+        return self._moment(events)
+
+    def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
+        """Gives every agent that asked its action, and begins an episode where none of its agents is left."""
+        chosen: list[dict[str, Any]] = [{} for _ in self._areas]
+        for name, asked in self._asked.items():
+            role = self._role_of[asked[0][1]] if asked else None
+            if role is not None:
+                batch = role.choices.read(actions[name])
+                for (number, agent), action in zip(
+                    asked, iterate(batch_space(role.action_space, len(asked)), batch), strict=True
+                ):
+                    chosen[number][agent] = action
+        ended, asking = [], []
+        for number, area in enumerate(self._areas):
+            try:
+                ended += [(number, event) for event in area.step(chosen[number])]
+            except Exception as error:  # whatever an author's code raises
+                raise failed(f"{self._environment.module} failed in a step", error) from error
+            self._moved[number] = True
+            if area.is_over():
+                self._begin(number)
+                self._moved[number] = False
+            asking += [(number, event) for event in area.asking()]
+        return self._moment([*ended, *asking]), {}
+
+    def close(self) -> None:
+        """Closes every copy."""
+        for area in self._areas:
+            area.close()
+
+    def _begin(self, number: int) -> None:
+        seed, self._seeds[number] = self._seeds[number], None  # a later episode goes on with its random numbers
+        try:
+            self._areas[number].reset(seed, self._parameters.draw(number))
+        except SimulationError:
+            raise
+        except Exception as error:  # whatever an author's code raises
+            raise failed(f"{self._environment.module} failed in a reset", error) from error
+
+    def _moment(self, events: Sequence[tuple[int, Event]]) -> Moment:
+        of_roles: dict[str, list[tuple[int, Event]]] = {name: [] for name in self._roles}
+        for number, event in events:
+            role = self._role_of.get(event.agent)
+            if role is None:
+                raise SimulationError(
+                    f"{self._environment.module} has an agent {shown(event.agent)}, which is not one of its possible."
+                )
+            of_roles[self._environment.behavior(event.agent)].append((number, event))
+        self._asked = {}
+        moment = {}
+        for index, (name, found) in enumerate(of_roles.items()):
+            full_name = self._roles[name].behavior.name
+            self._asked[full_name] = [(number, event.agent) for number, event in found if not event.ended]
+            if found:
+                moment[full_name] = self._agents(self._roles[name], index, found)
+        return moment
+
+    def _agents(self, role: _Role, index: int, found: Sequence[tuple[int, Event]]) -> Agents:
+        events = [event for _, event in found]
+        numbers = [area * len(self._names) + self._numbers[event.agent] for area, event in found]
+        ids = np.array(numbers, np.int32)
+        into: Any = create_empty_array(role.observation_space, len(events))
+        batch = concatenate(role.observation_space, [event.observation for event in events], into)
+        observations = role.sensors.read(batch)
+        for sensor, values in zip(role.sensors.sensors, observations, strict=True):
+            if values.dtype == np.float32:
+                check_finite(values, sensor.name, ids)
+        rewards = np.array([event.reward for event in events], np.float32)
+        check_finite(rewards, "a reward", ids)
+        group_ids, group_rewards = np.zeros(len(ids), np.int32), np.zeros(len(ids), np.float32)
+        if role.grouped:
+            group_ids += np.array([1 + area * len(self._roles) + index for area, _ in found], np.int32)
+            shared = _shared(found)
+            rewards, group_rewards = np.where(shared, 0, rewards), np.where(shared, rewards, 0)
+        return Agents(
+            ids,
+            rewards.astype(np.float32),
+            np.array([event.ended for event in events], np.bool_),
+            np.array([event.interrupted for event in events], np.bool_),
+            observations,
+            group_ids,
+            group_rewards.astype(np.float32),
+            self._masks(role, batch, events),
+        )
+
+    def _masks(self, role: _Role, batch: Any, events: Sequence[Event]) -> tuple[Any, ...]:
+        if not role.choices.branches:
+            return ()
+        allowed = role.sensors.mask(batch)
+        said = [event.mask for event in events]
+        if allowed is None and any(mask is not None for mask in said):
+            allowed = np.ones((len(events), sum(role.choices.branches)), np.bool_)
+            for row, mask in enumerate(said):
+                if mask is not None:
+                    role.choices.check_mask(np.hstack(mask))
+                    allowed[row] = np.hstack(mask)
+        if allowed is None:
+            return ()
+        allowed = np.where([[event.ended] for event in events], True, allowed)  # nobody chooses any more
+        return role.choices.forbidden(allowed)
+
+    def _check_names(self) -> None:
+        environment, names = self._environment, set(self._roles)
+        for option, given in (("--team", set(environment.teams)), ("--group", environment.groups - {EVERY_BEHAVIOR})):
+            for name in sorted(given - names):
+                raise SimulationError(
+                    f"{option} names behavior {shown(name)}, but {environment.module} has {', '.join(sorted(names))}."
+                )
+        for name, _ in environment.behaviors:
+            if name not in names:
+                raise SimulationError(
+                    f"--behavior {shown(name)} fits none of the agents of {environment.module}: "
+                    f"{', '.join(self._names)}."
+                )
+        if environment.groups and isinstance(self._areas[0], TurnsArea):
+            raise SimulationError(
+                f"--group needs agents that act together, but those of {environment.module} take turns."
+            )
+
+
+def _shared(found: Sequence[tuple[int, Event]]) -> list[bool]:
+    """Whether each agent's reward is that of all of its group who acted."""
+    of_areas: dict[int, set[float]] = {}
+    for area, event in found:
+        if event.acted:
+            of_areas.setdefault(area, set()).add(event.reward)
+    return [event.acted and len(of_areas[area]) == 1 for area, event in found]
+
+
+def _roles(environment: PettingZooEnvironment, area: AgentArea) -> dict[str, _Role]:
+    roles: dict[str, _Role] = {}
+    for agent in area.possible_agents:
+        name, observed, action = environment.behavior(agent), area.observation_space(agent), area.action_space(agent)
+        if name in roles:
+            if (observed, action) != (roles[name].observation_space, roles[name].action_space):
+                raise SimulationError(
+                    f"The agents of behavior {shown(name)} of {environment.module} differ in their spaces, {agent} "
+                    "from those before it; give them behaviors of their own with --behavior NAME=REGEX."
+                )
+            continue
+        owner = f"Agent {agent} of {environment.module}"
+        sensors, choices = ObservationSensors(observed, owner), ActionChoices(action, owner)
+        full_name = f"{name}?team={environment.teams.get(name, 0)}"
+        behavior = Behavior(full_name, sensors.sensors, choices.continuous, choices.branches)
+        grouped = name in environment.groups or EVERY_BEHAVIOR in environment.groups
+        roles[name] = _Role(behavior, sensors, choices, observed, action, grouped)
+    return roles
