@@ -8,8 +8,8 @@ from corridor_server.connection import Connection, ConnectionBroken, ConnectionF
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.messages import API_VERSION, MAX_AREAS, QUIT
-from corridor_server.protocol.pictures import PictureForm
 from corridor_server.protocol.side_channels import SideChannelError
+from corridor_server.protocol.visual_observations import PictureForm
 from corridor_server.simulations.simulation import Simulation, SimulationError
 
 logger = logging.getLogger(__name__)
@@ -91,8 +91,9 @@ class Player:
 
     def _serve(self, simulation: Simulation, parameters: Any) -> None:
         timing: Timing = self._timing(simulation)
-        form = PictureForm(self._compressed, _wants_channels_first(parameters.package_version))
-        hybrid_actions = parameters.capabilities.hybridActions
+        can = parameters.capabilities
+        mapped = can.concatenatedPngObservations and can.compressedChannelMapping
+        form = PictureForm(self._compressed, _wants_channels_first(parameters.package_version), mapped)
         reply = self._shake_hands(wire.acknowledgement())
         introduced: set[str] = set()
         asked: dict[str, int] | None = None  # how many agents want an action; nobody was heard of yet
@@ -110,7 +111,7 @@ class Player:
                 state = simulation.snapshot()
                 side_channel += b"" if state is None else side_channels.write_state(state)
                 state_wanted = False
-            message = wire.output(parts, side_channel, introduced, form, hybrid_actions)
+            message = wire.output(parts, side_channel, introduced, form, can.hybridActions)
             introduced |= asked.keys()
             reply = self._connection.exchange(message)
 

@@ -39,12 +39,16 @@ def forbidden_imports() -> list[tuple[str, str]]:
             pairs += [(module, above) for module in lower for above in upper]
         pairs += [(one, other) for one in lower for other in lower if one != other]
     every = [module for floor in FLOORS for module in floor]
-    for inside in ("corridor_server.corridor.world", "corridor_server.player", "corridor_server.connection"):
+    insides = ("corridor.world", "player", "connection", "decision_timing", "simulations.simulation")
+    for inside in (f"corridor_server.{each}" for each in insides):
         pairs += [(module, inside) for module in every if not module.startswith(KNOW_THE_WORLD)]
     pairs += [("corridor_server.protocol.wire", "corridor_server.corridor.world")]
     pairs += [("corridor_server.protocol.messages", "corridor_server.player")]
     pairs += [("corridor_server.shared.given", "corridor_server.protocol.wire")]
     pairs += [("corridor_server.corridor.world", "corridor_server.player")]
+    pairs += [("corridor_server.protocol.wire", "corridor_server.simulations.simulation")]
+    for above in ("player", "decision_timing", "connection", "corridor.areas"):
+        pairs += [("corridor_server.simulations.simulation", f"corridor_server.{above}")]
     return pairs + [("corridor_server.corridor.areas", module) for module in every]
 
 

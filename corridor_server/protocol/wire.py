@@ -27,7 +27,7 @@ from corridor_server.protocol.messages import (
     UnityMessageProto,
     mistyped_field,
 )
-from corridor_server.protocol.pictures import PictureForm, channel_mapping, png_files
+from corridor_server.protocol.visual_observations import PictureForm, channel_mapping, png_files
 
 DISCRETE, CONTINUOUS = 0, 1  # SpaceTypeProto
 
@@ -113,6 +113,7 @@ def output(
     message.header.status = OK
     rl_output = message.unity_output.rl_output
     for behavior, agents in parts:
+        _check_shapes(behavior, agents)
         rl_output.agentInfos[behavior.name].value.extend(_agent_infos(behavior, agents, form))
     rl_output.side_channel = side_channel
     for behavior in new:
@@ -182,6 +183,9 @@ def _batch(received: Sequence[Any], behavior: Behavior) -> ActionBatch:
             raise WireError(f"Action {row} has {len(numbers)} continuous values, but {size} were expected.")
         if len(choices) != len(branches):
             raise WireError(f"Action {row} has {len(choices)} discrete choices, but {len(branches)} were expected.")
+        for branch, (choice, count) in enumerate(zip(choices, branches, strict=True)):
+            if not 0 <= choice < count or choice != int(choice):  # the deprecated ones are floats
+                raise _unknown_choice(row, choice, branch, count)
     continuous = np.array([numbers for numbers, _ in both], np.float32).reshape(len(both), size)
     discrete = np.array([choices for _, choices in both], np.int32).reshape(len(both), len(branches))
     return ActionBatch(continuous, discrete)
@@ -192,7 +196,7 @@ def _halves(action: Any, behavior: Behavior) -> tuple[Any, Any]:
     old, size = action.vector_actions_deprecated, behavior.continuous_actions
     if not behavior.discrete_branches:
         return action.continuous_actions or old, ()
-    return action.continuous_actions or old[:size], action.discrete_actions or [int(each) for each in old[size:]]
+    return action.continuous_actions or old[:size], action.discrete_actions or old[size:]
 
 
 def _checked(
@@ -222,10 +226,11 @@ def _check_values(batch: ActionBatch, behavior: Behavior) -> None:
         unknown = np.argwhere((batch.discrete < 0) | (batch.discrete >= behavior.discrete_branches))
         if len(unknown):
             row, branch = unknown[0].tolist()
-            raise WireError(
-                f"Action {row} chooses {batch.discrete[row, branch]} in branch {branch}, but 0 to "
-                f"{behavior.discrete_branches[branch] - 1} were expected."
-            )
+            raise _unknown_choice(row, batch.discrete[row, branch], branch, behavior.discrete_branches[branch])
+
+
+def _unknown_choice(row: int, choice: float, branch: int, count: int) -> WireError:
+    return WireError(f"Action {row} chooses {choice:g} in branch {branch}, but 0 to {count - 1} were expected.")
 
 
 def _parse(data: bytes) -> Any:
@@ -248,6 +253,15 @@ def _ends(message: Any) -> bool:
 def _bytes(message: Any) -> bytes:
     data: bytes = message.SerializeToString()
     return data
+
+
+def _check_shapes(behavior: Behavior, agents: Agents) -> None:
+    for sensor, values in zip(behavior.sensors, agents.observations, strict=True):
+        if values.shape[1:] != sensor.shape:
+            raise WireError(
+                f"Agents of {behavior.name} observe {sensor.name} of shape {values.shape[1:]}, but its sensor has "
+                f"{sensor.shape}."
+            )
 
 
 def _agent_infos(behavior: Behavior, agents: Agents, form: PictureForm) -> list[Any]:

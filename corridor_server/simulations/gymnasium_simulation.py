@@ -72,7 +72,7 @@ class GymnasiumEnvironment:
                 name,
                 num_envs=count,
                 vectorization_mode=self.mode,
-                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED, "copy": False},  # it is read at once
                 wrappers=wrappers,
                 disable_env_checker=True,
                 **arguments,
@@ -127,11 +127,8 @@ class GymnasiumSimulation(Simulation):
     def reset(self) -> Moment:
         """Begins an episode in every copy, but where one has just begun by itself."""
         if self._last is None or not self._begun_by_end.all():
-            observations, masks = self._begin(~self._begun_by_end)
+            observations, masks = self._begin(~self._begun_by_end, () if self._last is None else self._last.masks)
             nothing, nobody = np.zeros(len(self._ids), np.float32), np.zeros(len(self._ids), np.bool_)
-            if self._last is not None and self._begun_by_end.any():
-                observations = _merged(self._last.observations, observations, ~self._begun_by_end)
-                masks = _merged(self._last.masks, masks, ~self._begun_by_end)
             self._last = Agents.ungrouped(self._ids, nothing, nobody, nobody, observations, masks)
         self._begun_by_end[:] = False
         return {self._behavior.name: self._last}
@@ -161,35 +158,39 @@ class GymnasiumSimulation(Simulation):
 
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
-        observations, masks = self._begin(ended)
+        observations, masks = self._begin(ended, last.masks)
         rows = np.flatnonzero(ended)
-        flags = np.zeros(len(rows) + len(ended), np.bool_)
-        done, cut = flags.copy(), flags
+        done, cut = np.zeros((2, len(rows) + len(ended)), np.bool_)
         done[: len(rows)] = True
         cut[: len(rows)] = interrupted[rows]
-        begun = _merged(last.observations, observations, ended)
         return Agents.ungrouped(
             np.concatenate([self._ids[rows], self._ids]),
             np.concatenate([last.rewards[rows], np.where(ended, np.float32(0), last.rewards)]),
             done,
             cut,
-            tuple(np.concatenate([old[rows], new]) for old, new in zip(last.observations, begun, strict=True)),
-            tuple(np.concatenate([np.zeros_like(new[rows]), new]) for new in _merged(last.masks, masks, ended)),
+            tuple(np.concatenate([old[rows], new]) for old, new in zip(last.observations, observations, strict=True)),
+            tuple(np.concatenate([np.zeros_like(new[rows]), new]) for new in masks),
         )
 
-    def _begin(self, which: NDArray[np.bool_]) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
-        """Resets these copies; returns what all observe, of which only theirs is new, and their masks."""
+    def _begin(
+        self, which: NDArray[np.bool_], masks: tuple[NDArray[np.bool_], ...]
+    ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
+        """Resets these copies; returns what all observe, and their masks, which were ``masks`` before."""
         try:
             if self._set:
                 settings = [self._parameters.draw(row) if which[row] else None for row in range(len(which))]
                 self._envs.set_attr("settings", settings)
-            batched, info = self._envs.reset(seed=self._seeds, options={"reset_mask": which})
+            seeds: Any = self._seeds
+            batched, info = self._envs.reset(seed=seeds, options={"reset_mask": which})
         except SimulationError:
             raise
         except Exception as error:  # whatever an author's code raises
             raise failed(f"{self._name} failed in a reset", error) from error
-        self._seeds = None  # only an episode after the first one goes on where the last left its random numbers
-        return self._read(batched, info)
+        self._seeds = None  # a later episode goes on with its random numbers
+        observations, begun = self._read(batched, info)
+        return observations, tuple(
+            np.where(which[:, None], new, old) for old, new in zip(masks or begun, begun, strict=True)
+        )
 
     def _read(self, batched: Any, info: Mapping[str, Any]) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[Any], ...]]:
         observations = self._sensors.read(batched)
@@ -304,11 +305,11 @@ def _registered(name: str) -> str:
     try:
         gymnasium.spec(registered)
     except gymnasium.error.DeprecatedEnv as error:
-        raise SimulationError(f"--gym is {shown(name)}: {error}") from error
-    except gymnasium.error.Error as error:
+        raise SimulationError(f"--gym is {shown(name)}: {error}") from None
+    except gymnasium.error.Error:
         near = difflib.get_close_matches(registered[:100], gymnasium.registry, n=3, cutoff=0.5)
         hint = f"the nearest are {', '.join(near)}" if near else "give MODULE:ID for one that a package registers"
-        raise SimulationError(f"--gym is {shown(name)}, but no such environment is registered; {hint}.") from error
+        raise SimulationError(f"--gym is {shown(name)}, but no such environment is registered; {hint}.") from None
     return registered
 
 
@@ -319,12 +320,3 @@ def _wrapper(name: str) -> Callable[[Any], Any]:
     except Exception as error:  # whatever an author's code raises
         raise failed(f"--wrapper is {shown(name)}, but MODULE:NAME of a wrapper was expected", error) from error
     return found
-
-
-def _merged(
-    old: tuple[NDArray[Any], ...], new: tuple[NDArray[Any], ...], which: NDArray[np.bool_]
-) -> tuple[NDArray[Any], ...]:
-    merged = []
-    for before, after in zip(old, new, strict=True):
-        merged.append(np.where(which.reshape(-1, *[1] * (before.ndim - 1)), after, before))
-    return tuple(merged)

@@ -116,8 +116,10 @@ def test_a_player_that_ends_at_once(tmp_path, free_port):
 def test_a_wrong_observation_size_says_what_was_expected_and_what_came(tmp_path, free_port):
     body = """
 import corridor_server.corridor.world as world
+from corridor_server.corridor.corridor_config import CorridorConfig
 whole = world.observation
 world.observation = lambda p, state: whole(p, state)[:, :11]
+CorridorConfig.observation_size = 11
 from corridor_server.main import main
 sys.exit(main())
 """
@@ -180,11 +182,12 @@ MID_RUN = """
 import numpy as np
 import corridor_server.protocol.wire as wire
 output, count = wire.output, []
-def output_going_bad(behavior, agents, *rest):
+def output_going_bad(parts, *rest):
+    [(_, agents)] = parts
     count.append(1)
     if len(count) == 30:
         {fault}
-    return output(behavior, agents, *rest)
+    return output(parts, *rest)
 wire.output = output_going_bad
 from corridor_server.main import main
 sys.exit(main())

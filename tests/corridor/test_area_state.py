@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from only_behavior import act, begin
 
 from corridor_server.corridor import observation as layout
 from corridor_server.corridor.areas import Areas, Statistics
@@ -46,21 +47,21 @@ def sampled(seed: int, count: int = 5) -> Areas:
 
 def test_restored_areas_go_on_as_those_that_were_saved():
     areas, generator = sampled(seed=1), np.random.default_rng(0)
-    areas.reset()
+    begin(areas)
     for _ in range(100):
-        last, _ = areas.step(actions(generator, 5))
+        last, _ = act(areas, actions(generator, 5))
     payload = saved(areas)
 
     restored = sampled(seed=99)
     restored.restore(side_channels.read_state(payload, restored.snapshot()))
-    shown = restored.reset()
+    shown = begin(restored)
     assert np.array_equal(shown.ids, last.deciding.ids)
     assert np.array_equal(shown.observations[0], last.deciding.observations[0])
-    assert equal(restored.reset(), shown)  # resets keep what has not moved
+    assert equal(begin(restored), shown)  # resets keep what has not moved
     ended = 0
     for _ in range(200):
         chosen = actions(generator, 5)
-        one, other = areas.step(chosen), restored.step(chosen)
+        one, other = act(areas, chosen), act(restored, chosen)
         assert equal_steps(one, other)
         ended += len(one[0].ended)
     assert ended > 20
@@ -69,32 +70,32 @@ def test_restored_areas_go_on_as_those_that_were_saved():
 
 def test_a_snapshot_changes_nothing():
     watched, alone = sampled(seed=1), sampled(seed=1)
-    watched.reset()
-    alone.reset()
+    begin(watched)
+    begin(alone)
     generator = np.random.default_rng(0)
     for _ in range(100):
         chosen = actions(generator, 5)
         watched.snapshot()
-        assert equal_steps(watched.step(chosen), alone.step(chosen))
+        assert equal_steps(act(watched, chosen), act(alone, chosen))
 
 
 def test_after_a_restored_episode_has_moved_a_reset_begins_another():
     areas, restored = sampled(seed=1), sampled(seed=2)
-    areas.reset()
+    begin(areas)
     restored.restore(side_channels.read_state(saved(areas), restored.snapshot()))
-    first = restored.reset()
-    restored.step(np.zeros((5, 2), np.float32))
-    assert not np.intersect1d(restored.reset().observations[0][:, layout.POSITION], first.observations[0]).size
+    first = begin(restored)
+    act(restored, np.zeros((5, 2), np.float32))
+    assert not np.intersect1d(begin(restored).observations[0][:, layout.POSITION], first.observations[0]).size
 
 
 def test_a_state_from_when_every_episode_had_its_own_id_is_taken_up_without_its_ids():
     areas, restored = sampled(seed=1), sampled(seed=2)
-    begun = areas.reset()
+    begun = begin(areas)
     rows = areas.snapshot()
     rows["id"] = [71, 68, 70, 72, 69]
     [(_, payload)] = side_channels.split(side_channels.write_state(rows))
     restored.restore(side_channels.read_state(payload, restored.snapshot()))
-    assert equal(restored.reset(), begun)
+    assert equal(begin(restored), begun)
     assert saved(restored) == saved(areas)
 
 
@@ -106,7 +107,7 @@ def test_the_state_of_other_areas_is_refused(other):
 
 def test_a_state_with_numbers_that_are_not_finite_is_refused():
     areas = sampled(1)
-    areas.reset()
+    begin(areas)
     rows = areas.snapshot()
     rows["position"][2] = np.nan
     [(_, payload)] = side_channels.split(side_channels.write_state(rows))

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from only_behavior import act, begin
 
 from corridor_server.corridor import world
 from corridor_server.corridor.areas import Areas
@@ -127,10 +128,10 @@ def test_an_areas_episodes_do_not_depend_on_how_many_areas_there_are():
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (400, 7, 2)).astype(np.float32)
     many, alone = Areas(CorridorConfig(), 5, range(7)), Areas(CorridorConfig(), 5, [4])
-    assert np.array_equal(many.reset().observations[0][4], alone.reset().observations[0][0])
+    assert np.array_equal(begin(many).observations[0][4], begin(alone).observations[0][0])
     ended = 0
     for action in actions:
-        (together, _), (single, _) = many.step(action), alone.step(action[4:5])
+        (together, _), (single, _) = act(many, action), act(alone, action[4:5])
         assert np.array_equal(together.deciding.observations[0][4], single.deciding.observations[0][0])
         assert together.deciding.rewards[4] == single.deciding.rewards[0]
         ended += len(single.ended)
@@ -139,7 +140,7 @@ def test_an_areas_episodes_do_not_depend_on_how_many_areas_there_are():
 
 def test_different_seeds_and_areas_begin_differently():
     starts = [
-        tuple(Areas(CorridorConfig(), seed, range(2)).reset().observations[0][area])
+        tuple(begin(Areas(CorridorConfig(), seed, range(2))).observations[0][area])
         for seed in (0, 1)
         for area in (0, 1)
     ]

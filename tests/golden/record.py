@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from corridor_server.connection import Connection
+from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player
 from corridor_server.protocol.messages import QUIT, RESET
@@ -40,11 +41,16 @@ def replies() -> Iterator[bytes]:
     yield command(QUIT).SerializeToString()
 
 
+def corridor(seed: int, num_areas: int) -> Areas:
+    """The areas that are played, with a camera of 4x2 pixels."""
+    return Areas(CorridorConfig(), seed, range(num_areas), camera=(4, 2))
+
+
 def converse(answers: Iterator[bytes], hear: Callable[[str, bytes], None]) -> None:
     """Plays the trainer's part against our player, and lets ``hear`` have every message of both."""
     with RawTrainer() as trainer:
         connection = Connection("localhost", trainer.port, timeout_wait=10, timeout_reply=10)
-        player = Player(connection, CorridorConfig(), package_version="golden", camera=(4, 2), compressed=False)
+        player = Player(connection, corridor, package_version="golden", compressed=False)
         thread = threading.Thread(target=player.run)
         thread.start()
         for answer in answers:

@@ -1,12 +1,13 @@
-"""Messages with agents of any kind, as protobuf writes them, and what the parser makes of them."""
+"""Messages with agents of any kind, as protobuf writes them, what the parser makes of them, and ways to spoil one."""
 
 from typing import Any
 
 import numpy as np
 
 from corridor_server.protocol.agent_rows import AgentRows
-from corridor_server.protocol.agents import Agents, Sensor
+from corridor_server.protocol.agents import Agents, Behavior, Sensor
 from corridor_server.protocol.messages import AgentInfoProto, UnityMessageProto
+from corridor_server.protocol.wire_bytes import HEADER_OK
 
 VECTOR = Sensor("VectorSensor_size13", (13,), (1,))
 # Behaviors with their sensors and discrete branches.
@@ -17,7 +18,20 @@ KINDS: dict[str, tuple[tuple[Sensor, ...], tuple[int, ...]]] = {
     "Old": ((Sensor("", (2,), ()),), (2,)),
 }
 ROWS = {name: AgentRows(*kind) for name, kind in KINDS.items()}
+# With two continuous actions where there are no discrete ones.
+BEHAVIORS = {
+    name: Behavior(name, sensors, 0 if branches else 2, branches) for name, (sensors, branches) in KINDS.items()
+}
 IDS = np.array([0, 1, 127, 128, 2**14 - 1, 2**14, 2**21 - 1, 2**21, 2**28 - 1, 2**28, 2**31 - 1], np.int32)
+# What makes any message one that is left to the parser.
+UNUSUAL = {
+    "an unknown field after the message": lambda data: data + b"\xf8\x01\x07",
+    "an unknown field before it": lambda data: b"\xf8\x01\x07" + data,
+    "another status": lambda data: data.replace(b"\x08\xc8\x01", b"\x08\x90\x03", 1),
+    "a second header": lambda data: data + HEADER_OK,
+    "a byte cut off": lambda data: data[:-1],
+    "nothing": lambda data: b"",
+}
 
 
 def random_agents(rng: np.random.Generator, behavior: str, count: int) -> Agents:
@@ -122,3 +136,26 @@ def same(one: Agents, other: Agents) -> bool:
 def _bits(values: np.ndarray) -> bytes:
     """All NaNs alike: Python's floats don't keep every kind."""
     return np.where(np.isnan(values), np.full(1, np.nan, np.float32), values).tobytes()
+
+
+def mutated(rng: np.random.Generator, data: bytes) -> bytes:
+    """Some bytes changed, cut out, put in or repeated; often near a row's beginning, where its fields are."""
+    changed = bytearray(data)
+    for _ in range(rng.integers(1, 4)):
+        place = int(rng.integers(len(changed)))
+        match rng.integers(5):
+            case 0:
+                changed[place] = int(rng.integers(256))
+            case 1:
+                changed[place] ^= 1 << int(rng.integers(8))
+            case 2:
+                tags = [at for at, byte in enumerate(changed) if byte in b"\x0a\x3d\x40\x48\x50\x5a\x6a\x70\x7d"]
+                near = int(rng.choice(tags, 1)[0] if tags else place) + int(rng.integers(-1, 2))
+                changed[min(max(near, 0), len(changed) - 1)] = int(rng.choice([0, 1, 2, 0x80, 255]))
+            case 3:
+                del changed[place : place + int(rng.integers(1, 9))]
+            case _:
+                changed[place:place] = changed[place : place + int(rng.integers(1, 9))]
+        if not changed:
+            break
+    return bytes(changed)

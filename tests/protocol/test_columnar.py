@@ -1,4 +1,4 @@
-"""Columns mean what protobuf means: they write its bytes, and read nothing that it would read otherwise."""
+"""Columns of agents mean what protobuf means: they write its bytes, and read nothing that it would read otherwise."""
 
 import dataclasses
 import sys
@@ -10,26 +10,18 @@ import pytest
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 sys.path.insert(0, str(Path(__file__).parent))
-from messages_of_agents import KINDS, ROWS, VECTOR, message_of, parsed, random_agents, same
+from messages_of_agents import KINDS, ROWS, UNUSUAL, VECTOR, message_of, mutated, parsed, random_agents, same
 
 from corridor_server.protocol import columnar
 from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import Agents
-from corridor_server.protocol.columnar import ActionBatch
 from corridor_server.protocol.messages import UnityMessageProto
-from corridor_server.protocol.trainer_messages import command, step
 from corridor_server.protocol.wire_bytes import HEADER_OK, length_delimited
 
 BEHAVIOR = "Corridor?team=0"
-FLOATS = st.floats(width=32)
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def batch(continuous: np.ndarray, discrete: np.ndarray | None = None) -> ActionBatch:
-    return ActionBatch(continuous, np.empty((len(continuous), 0), np.int32) if discrete is None else discrete)
 
 
 def two_agents() -> Agents:
@@ -44,7 +36,7 @@ def two_agents() -> Agents:
 @given(seed=SEEDS, count=st.integers(0, 40), side_channel=st.binary(max_size=300))
 def test_columns_write_the_bytes_that_protobuf_writes(behavior, seed, count, side_channel):
     agents = random_agents(np.random.default_rng(seed), behavior, count)
-    written = columnar.write_output(behavior, ROWS[behavior], agents, side_channel)
+    written = columnar.write_output([(behavior, ROWS[behavior], agents)], side_channel)
     assert written == message_of({behavior: agents}, side_channel)
 
 
@@ -69,6 +61,23 @@ def test_several_behaviors_come_in_one_message(seed, names):
     assert read[0].keys() == batches.keys()
     assert all(same(read[0][name], batches[name]) for name in names)
     assert read[1] == b"beside"
+
+
+@settings(deadline=None)  # the machine may be busy
+@given(seed=SEEDS, names=st.lists(st.sampled_from(list(KINDS)), unique=True))
+def test_several_behaviors_are_written_as_protobuf_writes_them_in_whichever_order_they_are_given(seed, names):
+    rng = np.random.default_rng(seed)
+    batches = {name: random_agents(rng, name, int(rng.integers(0, 20))) for name in names}
+    written = columnar.write_output([(name, ROWS[name], batches[name]) for name in names], b"beside")
+    if names == sorted(names):  # protobuf's own order, where it is asked for the same bytes every time
+        assert written == message_of(batches, b"beside")
+    read, (meant, side_channel) = columnar.read_output(written, ROWS), parsed(written)
+    assert read is not None
+    assert list(read[0]) == names, "in the order in which they are to be read"
+    assert meant.keys() == batches.keys()
+    assert all(same(meant[name], batches[name]) for name in names)
+    assert all(same(read[0][name], batches[name]) for name in names)
+    assert read[1] == side_channel == b"beside"
 
 
 @pytest.mark.parametrize("count", [1, 9, 300, 3000])
@@ -102,7 +111,7 @@ def test_messages_in_lockstep_are_as_right_as_the_first_whatever_changes_between
             sent = dataclasses.replace(agents, **{column: getattr(other, column)})
         if number % 20 == 19:
             agents = dataclasses.replace(sent, masks=(), done=agents.done)
-        data = columnar.write_output(behavior, rows, sent, b"")
+        data = columnar.write_output([(behavior, rows, sent)], b"")
         assert data == message_of({behavior: sent})
         read = columnar.read_output(data, {behavior: rows})
         assert read is not None
@@ -142,24 +151,11 @@ def test_rows_of_one_length_with_other_fields_are_told_apart():
         assert same(read[0][behavior], parsed(data)[0][behavior])
 
 
-UNUSUAL = {
-    "an unknown field after the message": lambda data: data + b"\xf8\x01\x07",
-    "an unknown field before it": lambda data: b"\xf8\x01\x07" + data,
-    "another status": lambda data: data.replace(b"\x08\xc8\x01", b"\x08\x90\x03", 1),
-    "a second header": lambda data: data + HEADER_OK,
-    "a byte cut off": lambda data: data[:-1],
-    "nothing": lambda data: b"",
-}
-
-
 @pytest.mark.parametrize("change", UNUSUAL)
 def test_any_other_message_is_left_to_the_parser(change):
-    output = columnar.write_output(BEHAVIOR, ROWS[BEHAVIOR], two_agents(), b"")
-    actions = columnar.write_step({BEHAVIOR: batch(np.ones((2, 2), np.float32))}, b"")
+    output = columnar.write_output([(BEHAVIOR, ROWS[BEHAVIOR], two_agents())], b"")
     assert columnar.read_output(output, ROWS) is not None
-    assert columnar.read_step(actions, BEHAVIOR, 2) is not None
     assert columnar.read_output(UNUSUAL[change](output), ROWS) is None
-    assert columnar.read_step(UNUSUAL[change](actions), BEHAVIOR, 2) is None
 
 
 def test_other_behaviors_introductions_and_ids_below_0_are_left_to_the_parser():
@@ -173,87 +169,6 @@ def test_other_behaviors_introductions_and_ids_below_0_are_left_to_the_parser():
     assert columnar.read_output(message.SerializeToString(), ROWS) is None
     twice = length_delimited(2, length_delimited(1, BEHAVIOR.encode()) + length_delimited(2, b"")) * 2
     assert columnar.read_output(HEADER_OK + length_delimited(2, length_delimited(1, twice)), ROWS) is None
-
-
-@settings(deadline=None)  # the machine may be busy
-@given(
-    continuous=arrays.arrays(np.float32, st.tuples(st.integers(1, 12), st.integers(0, 4)), elements=FLOATS),
-    branches=st.lists(st.integers(1, 200), max_size=3),
-    seed=SEEDS,
-    side_channel=st.binary(max_size=300),
-    deprecated=st.booleans(),
-)
-def test_steps_of_columns_and_of_protobuf_are_the_same_bytes_and_read_alike(
-    continuous, branches, seed, side_channel, deprecated
-):
-    count, size = continuous.shape
-    discrete = np.random.default_rng(seed).integers(0, [*branches], (count, len(branches))).astype(np.int32)
-    theirs = command(0, side_channel)
-    for numbers, choices in zip(continuous.tolist(), discrete.tolist(), strict=True):
-        action = theirs.unity_input.rl_input.agent_actions[BEHAVIOR].value.add()
-        action.continuous_actions.extend(numbers)
-        action.discrete_actions.extend(choices)
-        if deprecated:
-            action.vector_actions_deprecated.extend([*numbers, *choices])
-    data = theirs.SerializeToString()
-    if deprecated:
-        assert columnar.write_step({BEHAVIOR: batch(continuous, discrete)}, side_channel) == data
-    read = columnar.read_step(data, BEHAVIOR, size, branches)
-    if discrete.size and discrete.max() > 127:
-        return  # rows differ in length
-    assert read is not None
-    assert read[0].continuous.tobytes() == continuous.tobytes()
-    assert np.array_equal(read[0].discrete, discrete)
-    assert read[1] == side_channel
-
-
-def test_a_step_for_several_behaviors_has_each_ones_actions():
-    data = columnar.write_step({"A": batch(np.ones((2, 1), np.float32)), "B": batch(np.zeros((1, 3), np.float32))}, b"")
-    lists = UnityMessageProto.FromString(data).unity_input.rl_input.agent_actions
-    assert {name: [list(each.continuous_actions) for each in lists[name].value] for name in lists} == {
-        "A": [[1.0], [1.0]],
-        "B": [[0.0, 0.0, 0.0]],
-    }
-
-
-def test_other_commands_behaviors_sizes_and_unpacked_floats_are_left_to_the_parser():
-    actions = step({BEHAVIOR: [[0.5, 0.5]]})
-    assert columnar.read_step(actions.SerializeToString(), BEHAVIOR, 2) is not None
-    assert columnar.read_step(actions.SerializeToString(), BEHAVIOR, 3) is None
-    assert columnar.read_step(actions.SerializeToString(), "Other?team=0", 2) is None
-    assert columnar.read_step(command(1).SerializeToString(), BEHAVIOR, 2) is None
-    actions.unity_input.rl_input.command = 1
-    assert columnar.read_step(actions.SerializeToString(), BEHAVIOR, 2) is None
-    one = np.float32(1).tobytes()
-    unpacked = b"\x35" + one + b"\x35" + one  # continuous_actions, a tag for each value
-    entry = length_delimited(1, BEHAVIOR.encode()) + length_delimited(2, length_delimited(1, unpacked))
-    data = HEADER_OK + length_delimited(3, length_delimited(1, length_delimited(1, entry)))
-    parsed_actions = UnityMessageProto.FromString(data).unity_input.rl_input.agent_actions[BEHAVIOR].value
-    assert list(parsed_actions[0].continuous_actions) == [1.0, 1.0]
-    assert columnar.read_step(data, BEHAVIOR, 2) is None
-
-
-def mutated(rng: np.random.Generator, data: bytes) -> bytes:
-    """Some bytes changed, cut out, put in or repeated; often near a row's beginning, where its fields are."""
-    changed = bytearray(data)
-    for _ in range(rng.integers(1, 4)):
-        place = int(rng.integers(len(changed)))
-        match rng.integers(5):
-            case 0:
-                changed[place] = int(rng.integers(256))
-            case 1:
-                changed[place] ^= 1 << int(rng.integers(8))
-            case 2:
-                tags = [at for at, byte in enumerate(changed) if byte in b"\x0a\x3d\x40\x48\x50\x5a\x6a\x70\x7d"]
-                near = int(rng.choice(tags, 1)[0] if tags else place) + int(rng.integers(-1, 2))
-                changed[min(max(near, 0), len(changed) - 1)] = int(rng.choice([0, 1, 2, 0x80, 255]))
-            case 3:
-                del changed[place : place + int(rng.integers(1, 9))]
-            case _:
-                changed[place:place] = changed[place : place + int(rng.integers(1, 9))]
-        if not changed:
-            break
-    return bytes(changed)
 
 
 def outcome(data: bytes) -> str:
@@ -304,6 +219,6 @@ def test_rows_longer_than_a_two_byte_length_are_read():
         (np.ones((3, 6000), np.float32),),
     )
     rows = AgentRows((long,))
-    read = columnar.read_output(columnar.write_output("Long", rows, agents, b""), {"Long": rows})
+    read = columnar.read_output(columnar.write_output([("Long", rows, agents)], b""), {"Long": rows})
     assert read is not None
     assert same(read[0]["Long"], agents)

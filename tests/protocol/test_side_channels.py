@@ -11,6 +11,7 @@ from mlagents_envs.side_channel.engine_configuration_channel import EngineConfig
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.side_channel_manager import SideChannelManager
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
+from only_behavior import act, begin
 
 from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
@@ -53,8 +54,8 @@ def test_engine_settings_are_read():
 
 def test_statistics_arrive_at_mlagents_envs_one_value_for_each_episode():
     corridor = Areas(CorridorConfig(max_episode_steps=1), 0, range(3))
-    corridor.reset()
-    _, statistics = corridor.step(np.zeros((3, 2), np.float32))
+    begin(corridor)
+    _, statistics = act(corridor, np.zeros((3, 2), np.float32))
     channel = StatsSideChannel()
     SideChannelManager([channel]).process_side_channel_message(side_channels.write_statistics(statistics))
     received = channel.get_and_reset_stats()

@@ -13,6 +13,7 @@ import pytest
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
 from corridor_server.connection import Connection
+from corridor_server.corridor.areas import Areas
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.player import Player
 from trainer.players.environment import Environment
@@ -35,7 +36,7 @@ def connect_and_close(port: int) -> None:
     def play() -> None:
         time.sleep(0.01)  # dials when the trainer listens: a first try that fails costs a tenth of a second
         connection = Connection("localhost", port, timeout_wait=20, timeout_reply=20)
-        Player(connection, CorridorConfig(), "test").run()
+        Player(connection, lambda seed, count: Areas(CorridorConfig(), seed, range(count)), "test").run()
         connection.close()
 
     player = threading.Thread(target=play)

@@ -21,14 +21,18 @@ class PictureForm:
         compressed: As PNG where they are bytes; otherwise as floats from 0 to 1.
         channels_first: Shape (channels, height, width), as clients from mlagents-envs 1.0 on expect it; (height, width,
             channels) for older ones. The protocol's version is the same.
+        mapped: Whether the client reads several PNG files and which channel is which; otherwise only pictures of three
+            channels are compressed.
     """
 
     compressed: bool = True
     channels_first: bool = False
+    mapped: bool = True
 
     def compresses(self, values: NDArray[Any]) -> bool:
         """Whether an observation of a batch travels as PNG: only whole bytes can."""
-        return self.compressed and values.dtype == np.uint8
+        as_client_can = self.mapped or values.shape[-1] == _PER_FILE
+        return self.compressed and values.dtype == np.uint8 and as_client_can
 
     def sensor(self, sensor: Sensor) -> Sensor:
         """How an observation is described to the client; anything but a picture as it is."""
