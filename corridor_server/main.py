@@ -20,8 +20,8 @@ from corridor_server.simulations.simulation import SimulationError
 logger = logging.getLogger("corridor_server")
 
 
-class Stopped(Exception):
-    """A signal asked the player to stop."""
+class Stopped(KeyboardInterrupt):
+    """A signal asked the player to stop; in an environment's code nobody takes it for an error of theirs."""
 
 
 def main(arguments: Sequence[str] | None = None, make_simulation: MakeSimulation | None = None) -> int:
@@ -54,7 +54,7 @@ def _run(arguments: Sequence[str] | None, make_simulation: MakeSimulation | None
         _start_log(options.log_file)
         if ignored:
             logger.info("Arguments ignored: %s", " ".join(ignored))
-        check_options(options)
+        check_options(options, make_simulation is not None)
         return _play(options, make_simulation or _simulation(options))
     except SimulationError as error:
         if error.__cause__ is not None:  # where in its author's code
@@ -160,6 +160,7 @@ def _start_log(path: str | None) -> None:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         handler = logging.FileHandler(path, mode="w", encoding="utf-8", errors="backslashreplace")
     logging.raiseExceptions = False  # a full disk costs the log, not the run
+    logging.captureWarnings(True)  # Gymnasium's, which have the traceback of an environment in another process
     logging.basicConfig(
         level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", handlers=[handler], force=True
     )

@@ -19,11 +19,11 @@ SECONDS = Range(0, 10**9)
 PIXELS = Range(1, 1024)
 TEAMS = Range(0, 2**31 - 1)
 # An option -> with which of these it goes. None of them plays the corridor.
-CORRIDOR, GYM, PETTINGZOO = "the corridor", "--gym", "--pettingzoo"
+CORRIDOR, GYM, PETTINGZOO, OWN = "the corridor", "--gym", "--pettingzoo", "a simulation of its own"
 GOES_WITH = {
     "config": (CORRIDOR,),
     "camera": (CORRIDOR, GYM),
-    "camera_raw": (CORRIDOR, GYM, PETTINGZOO),
+    "camera_raw": (CORRIDOR, GYM, PETTINGZOO, OWN),
     "env_kwargs": (GYM, PETTINGZOO),
     "parameters": (GYM, PETTINGZOO),
     "wrapper": (GYM,),
@@ -42,8 +42,12 @@ def package_version() -> str:
         return "0"
 
 
-def check_options(options: argparse.Namespace) -> None:
+def check_options(options: argparse.Namespace, own: bool = False) -> None:
     """Refuses an option that does nothing with the others.
+
+    Args:
+        options: As they were read.
+        own: Whether a simulation of the caller's own is played, which is no matter of options.
 
     Raises:
         ValueError: There is one.
@@ -51,6 +55,10 @@ def check_options(options: argparse.Namespace) -> None:
     if options.gym is not None and options.pettingzoo is not None:
         raise ValueError("--gym and --pettingzoo are both given, but a player plays one of them.")
     played = GYM if options.gym is not None else CORRIDOR if options.pettingzoo is None else PETTINGZOO
+    if own:
+        if played != CORRIDOR:
+            raise ValueError(f"{played} is given, but this program plays a simulation of its own.")
+        played = OWN
     for name, kinds in GOES_WITH.items():
         if getattr(options, name) not in (None, False) and played not in kinds:
             option = "--" + name.replace("_", "-")

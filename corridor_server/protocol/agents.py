@@ -1,10 +1,10 @@
 """A batch of agents, in the one form that it has from a simulation to a trainer's decisions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # DimensionProperty: neither translation-equivariant nor of variable size; translation-equivariant, as pictures are; of
 # variable size, as buffers are.
@@ -110,6 +110,42 @@ class Agents:
         """Agents each on its own."""
         groups, group_rewards = np.zeros(len(ids), np.int32), np.zeros(len(ids), np.float32)
         return cls(ids, rewards, done, interrupted, observations, groups, group_rewards, masks)
+
+    @classmethod
+    def that_ask(
+        cls,
+        ids: ArrayLike,
+        observations: tuple[NDArray[Any], ...],
+        rewards: ArrayLike,
+        masks: tuple[NDArray[np.bool_], ...] = (),
+    ) -> "Agents":
+        """Agents each on its own that ask for an action."""
+        numbers = np.asarray(ids, np.int32)
+        nobody = np.zeros(len(numbers), np.bool_)
+        return cls.ungrouped(numbers, np.asarray(rewards, np.float32), nobody, nobody, observations, masks)
+
+    @classmethod
+    def that_ended(
+        cls, ids: ArrayLike, observations: tuple[NDArray[Any], ...], rewards: ArrayLike, interrupted: ArrayLike
+    ) -> "Agents":
+        """Agents each on its own whose episode ended."""
+        numbers = np.asarray(ids, np.int32)
+        done, cut = np.ones(len(numbers), np.bool_), np.asarray(interrupted, np.bool_)
+        return cls.ungrouped(numbers, np.asarray(rewards, np.float32), done, cut, observations)
+
+    def then(self, others: "Agents") -> "Agents":
+        """These and the others of the same behavior after them; where only one of both has masks, all may do all."""
+        columns: list[Any] = []
+        for column in fields(self):
+            mine, theirs = getattr(self, column.name), getattr(others, column.name)
+            if column.name == "masks" and len(mine) != len(theirs):
+                mine = mine or tuple(np.zeros((len(self), each.shape[1]), np.bool_) for each in theirs)
+                theirs = theirs or tuple(np.zeros((len(others), each.shape[1]), np.bool_) for each in mine)
+            if isinstance(mine, tuple):
+                columns.append(tuple(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
+            else:
+                columns.append(np.concatenate([mine, theirs]))
+        return Agents(*columns)
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -7,6 +7,7 @@ Python, so it imports nothing of ours but, where there is one, the message class
 import hashlib
 import json
 import sys
+import warnings
 
 import numpy as np
 
@@ -229,6 +230,21 @@ def the_clients_own_pettingzoo_wrapper_plays():
     env.close()
 
 
+def the_clients_own_pettingzoo_wrapper_passes_pettingzoos_test_over_an_environment_of_pettingzoos():
+    try:
+        from mlagents_envs.envs.unity_parallel_env import UnityParallelEnv
+        from pettingzoo.test import parallel_api_test
+    except ImportError:
+        raise NotApplicable("this release has no PettingZoo wrapper") from None
+    for module in ("mpe2.simple_spread_v3", "mpe2.simple_tag_v3"):
+        env = UnityParallelEnv(opened(arguments=("--pettingzoo", module)), seed=1)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            parallel_api_test(env, num_cycles=60)
+        assert not said, [str(each.message) for each in said]
+        env.close()
+
+
 def observed(reset):
     """gym gives the observation, Gymnasium (observation, info)."""
     return reset[0] if isinstance(reset, tuple) and isinstance(reset[1], dict) else reset
@@ -252,6 +268,7 @@ SENTENCES = [
     the_clients_own_gym_wrapper_plays_episodes,
     the_clients_own_gym_wrapper_sees_through_the_camera,
     the_clients_own_pettingzoo_wrapper_plays,
+    the_clients_own_pettingzoo_wrapper_passes_pettingzoos_test_over_an_environment_of_pettingzoos,
 ]
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Holds our player against TorchRL's ``UnityMLAgentsEnv``, where this interpreter has it; prints what came as JSON.
 
-``python torchrl_client.py PLAYER PORT TIMING``. TorchRL names an agent by its id, and refuses one that it has not seen
+``python torchrl_client.py PLAYER PORT ARGUMENT...``. TorchRL names an agent by its id, and refuses one that it has not seen
 in the first message. Its own ``check_env_specs`` comes first, then 1,000 steps over many ends.
 """
 
@@ -18,7 +18,7 @@ from torchrl.envs import UnityMLAgentsEnv
 from torchrl.envs.utils import check_env_specs
 
 AREAS, STEPS = 3, 1000
-PLAYER, PORT, TIMING = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+PLAYER, PORT, ARGUMENTS = sys.argv[1], int(sys.argv[2]), sys.argv[3:]
 
 
 def opened(number):
@@ -32,7 +32,7 @@ def opened(number):
         seed=1,
         num_areas=AREAS,
         side_channels=[parameters, StatsSideChannel()],
-        additional_args=["--decision-timing", TIMING],
+        additional_args=ARGUMENTS,
     )
 
 
@@ -46,12 +46,17 @@ def check():
 def play():
     env = opened(1)
     torch.manual_seed(0)
-    [group], [agents] = env.group_map.keys(), env.group_map.values()
     steps = env.rollout(STEPS, break_when_any_done=False)
-    ends = {agent: int(steps["next", group, agent, "done"].sum()) for agent in sorted(agents)}
-    finite = all(steps["next", group, agent, "VectorSensor_size13"].isfinite().all() for agent in agents)
+    agents = [(group, agent) for group, names in env.group_map.items() for agent in names]
+    ends = {agent: int(steps["next", group, agent, "done"].sum()) for group, agent in agents}
+    numbers = [value for value in steps.values(include_nested=True, leaves_only=True) if value.is_floating_point()]
     env.close()
-    return {"steps": len(steps), "ends": ends, "finite": bool(finite)}
+    return {
+        "steps": len(steps),
+        "groups": {group: len(names) for group, names in env.group_map.items()},
+        "ends": dict(sorted(ends.items())),
+        "finite": all(bool(value.isfinite().all()) for value in numbers),
+    }
 
 
 if __name__ == "__main__":

@@ -29,6 +29,8 @@ from trainer.players.announcements import check_behaviors
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
 
+FAREWELL_SECONDS = 1  # for a player to end by itself, once it was told to
+
 logger = get_logger(__name__)
 
 
@@ -95,8 +97,8 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         return None if self._process is None else int(self._process.pid)
 
     def kill(self) -> None:
-        """Closes the environment without waiting for a player that hangs; one that announced its end may finish."""
-        self._close(None if self._communicator.end_announced else 0)
+        """Closes the environment without waiting long for a player that hangs; one that announced its end may finish."""
+        self._close(None if self._communicator.end_announced else FAREWELL_SECONDS)
 
     def _close(self, timeout: int | None = None) -> None:
         process = self._process
