@@ -103,9 +103,10 @@ class ActionChoices:
         mine = slice(self.continuous, self.continuous + int(np.prod(space.shape)))
         self.continuous = mine.stop
         low, high = space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
-        bounded = np.isfinite(low) & np.isfinite(high)
-        middle = np.where(bounded, low + (high - low) / 2, 0.0)
-        half = np.where(bounded, (high - low) / 2, 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            width = high - low
+            bounded = np.isfinite(width)  # float64's largest are no bounds, either
+            middle, half = np.where(bounded, low + width / 2, 0.0), np.where(bounded, width / 2, 1.0)
 
         def read(actions: ActionBatch) -> NDArray[Any]:
             numbers = actions.continuous[:, mine].astype(np.float64)

@@ -2,13 +2,14 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 
 from corridor_server.shared.given import shown
-from corridor_server.simulations.declared_parameters import like
+from corridor_server.simulations.declared_parameters import is_number, like
 from corridor_server.simulations.observation_sensors import ACTION_MASK
 from corridor_server.simulations.simulation import SimulationError
 
@@ -50,8 +51,9 @@ class AgentArea(ABC):
     def __init__(self, make: Callable[..., Any], arguments: Mapping[str, Any], attributes: tuple[str, ...]) -> None:
         self._make, self._arguments, self._attributes = make, dict(arguments), attributes
         self._env = make(**self._arguments)
+        self._random = np.random.default_rng(0)  # draws the seeds of environments made anew
         for name in attributes:
-            if not isinstance(getattr(self._env.unwrapped, name, None), int | float):
+            if not is_number(getattr(self._env.unwrapped, name, None)):
                 raise SimulationError(
                     f"--parameters names {shown(name)}, but the environment has no such number; give an attribute of "
                     "the unwrapped environment."
@@ -82,12 +84,17 @@ class AgentArea(ABC):
         arguments = {
             key: like(self._arguments[key], value) for key, value in settings.items() if key in self._arguments
         }
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
         if any(self._arguments[name] != value for name, value in arguments.items()):
             self._arguments |= arguments
             if seed is None:
-                seed = _next_seed(self._env)
+                seed = int(self._random.integers(2**31))
+            before = self._spaces()
             self._env.close()
             self._env = self._make(**self._arguments)
+            if self._spaces().items() - before.items():
+                raise SimulationError(other_spaces(arguments))
         for name in settings.keys() - arguments.keys():
             unwrapped = self._env.unwrapped
             setattr(unwrapped, name, like(getattr(unwrapped, name), settings[name]))
@@ -107,12 +114,17 @@ class AgentArea(ABC):
         """The agents that ask for an action."""
 
     def is_over(self) -> bool:
-        """Whether no agent is left."""
-        return not self._env.agents
+        """Whether no agent is left: some environments still count those that ended."""
+        return not self.asking()
 
     def close(self) -> None:
         """Closes it."""
         self._env.close()
+
+    def _spaces(self) -> dict[str, str]:
+        return {
+            agent: f"{self.observation_space(agent)} {self.action_space(agent)}" for agent in self._env.possible_agents
+        }
 
 
 class ParallelArea(AgentArea):
@@ -127,19 +139,17 @@ class ParallelArea(AgentArea):
         observations, rewards, terminations, truncations, infos = self._env.step(dict(actions))
         ended: list[Event] = []
         self._asking = []
-        new = [agent for agent in self._env.agents if agent not in actions]
-        for agent in [*actions, *new]:
-            terminated, truncated = bool(terminations[agent]), bool(truncations[agent])
-            event = Event(
-                agent,
-                observations[agent],
-                float(rewards[agent]),
-                terminated or truncated,
-                truncated and not terminated,
-                _mask(infos.get(agent)),
-                agent in actions,
-            )
-            (ended if event.ended else self._asking).append(event)
+        for agent in actions:
+            terminated = bool(terminations[agent])
+            over = terminated or bool(truncations[agent]) or agent not in self._env.agents
+            observation = deepcopy(observations[agent]) if over else observations[agent]  # a reset may write into it
+            mask = _mask(infos.get(agent))
+            event = Event(agent, observation, float(rewards[agent]), over, over and not terminated, mask, acted=True)
+            (ended if over else self._asking).append(event)
+        for agent in self._env.agents:  # one that came; of one that ended before, some environments tell on
+            if agent not in actions and not terminations.get(agent, False) and not truncations.get(agent, False):
+                reward, mask = float(rewards.get(agent, 0.0)), _mask(infos.get(agent))
+                self._asking.append(Event(agent, observations[agent], reward, mask=mask))
         return ended
 
     def asking(self) -> list[Event]:
@@ -172,8 +182,10 @@ class TurnsArea(AgentArea):
             if not over:
                 self._asking = [event]
                 return ended
-            ended.append(event)
+            ended.append(event._replace(observation=deepcopy(observation)))  # the next step may write into it
             self._env.step(None)
+            if agent in self._env.agents:  # it would be passed for ever
+                raise SimulationError(f"Agent {agent} ended, but is still one of agents after a step with None.")
         self._asking = []
         return ended
 
@@ -186,6 +198,10 @@ def _mask(info: Mapping[str, Any] | None) -> Any:
     return None if info is None else info.get(ACTION_MASK)
 
 
-def _next_seed(env: Any) -> int:
-    generator = getattr(env.unwrapped, "np_random", None)
-    return int(generator.integers(2**31)) if isinstance(generator, np.random.Generator) else 0
+def other_spaces(arguments: Mapping[str, Any]) -> str:
+    """What is said of arguments that change what agents observe or do, which a trainer was told once."""
+    given = ", ".join(f"{name} = {value}" for name, value in arguments.items())
+    return (
+        f"With {given} the environment has other spaces than a trainer was told; give an environment parameter that "
+        "leaves them as they are."
+    )

@@ -53,6 +53,12 @@ class DeclaredParameters:
         }
 
 
+def is_number(value: object) -> bool:
+    """Whether a parameter can set what is now this."""
+    return isinstance(value, int | float | np.number | np.bool_)
+
+
 def like(present: Any, value: float) -> Any:
     """The value as the type that the present one has."""
-    return round(value) if isinstance(present, int) and not isinstance(present, bool) else type(present)(value)
+    whole = isinstance(present, int | np.integer) and not isinstance(present, bool)
+    return type(present)(round(value) if whole else value)

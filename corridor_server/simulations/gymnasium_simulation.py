@@ -2,8 +2,10 @@
 
 import difflib
 import importlib
+import multiprocessing
+import signal
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
 
@@ -17,12 +19,21 @@ from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
 from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
-from corridor_server.simulations.declared_parameters import DeclaredParameters, like
+from corridor_server.simulations.agent_areas import other_spaces
+from corridor_server.simulations.declared_parameters import DeclaredParameters, is_number, like
 from corridor_server.simulations.observation_sensors import ACTION_MASK, WHOLE, ObservationSensors, check_finite
-from corridor_server.simulations.simulation import Moment, Simulation, SimulationError, Statistics, failed
+from corridor_server.simulations.simulation import (
+    Moment,
+    Simulation,
+    SimulationError,
+    Statistics,
+    blaming,
+    try_to_close,
+)
 
 CAMERA = "CameraSensor"
 MODES = ("sync", "async")
+_CLOSING_SECONDS = 1.0  # for processes that are still at work
 
 
 @dataclass(frozen=True)
@@ -46,12 +57,12 @@ class GymnasiumEnvironment:
     mode: str = "sync"
 
     def check(self) -> None:
-        """Makes it once.
+        """Makes it once, in this process.
 
         Raises:
             SimulationError: It can't be made, or its spaces can't be carried.
         """
-        GymnasiumSimulation(self, 0, 1).close()
+        GymnasiumSimulation(replace(self, mode="sync"), 0, 1).close()
 
     def make(self, count: int) -> SyncVectorEnv | AsyncVectorEnv:
         """Copies of it, which are reset by whoever steps them.
@@ -63,25 +74,28 @@ class GymnasiumEnvironment:
         arguments = dict(self.arguments)
         if self.camera is not None:
             arguments["render_mode"] = "rgb_array"
-        settable: Callable[[Any], Any] = partial(_Settable, name=name, arguments=arguments, attributes=self.parameters)
+        spec = gymnasium.spec(name)
+        settable: Callable[[Any], Any] = partial(_Settable, spec=spec, arguments=arguments, attributes=self.parameters)
         wrappers = [settable, *map(_wrapper, self.wrappers)]
+        # Copies are reset by whoever steps them, and what they give is read at once.
+        vector_arguments: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED, "copy": False}
+        if self.mode == "async":
+            wrappers.append(_leave_interrupts)
+            vector_arguments["context"] = _context()
         if self.camera is not None:
             wrappers.append(partial(_Camera, size=self.camera))
-        try:
+        wrappers.append(_Told)
+        with blaming(f"{self.name} can't be made"):
             made: Any = gymnasium.make_vec(
                 name,
                 num_envs=count,
                 vectorization_mode=self.mode,
-                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED, "copy": False},  # it is read at once
+                vector_kwargs=vector_arguments,
                 wrappers=wrappers,
                 disable_env_checker=True,
                 **arguments,
             )
             return cast(SyncVectorEnv | AsyncVectorEnv, made)
-        except SimulationError:
-            raise
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"{self.name} can't be made", error) from error
 
 
 class GymnasiumSimulation(Simulation):
@@ -109,7 +123,7 @@ class GymnasiumSimulation(Simulation):
         self._behavior = Behavior(behavior, self._sensors.sensors, self._choices.continuous, self._choices.branches)
         self._ids = np.arange(num_areas, dtype=np.int32)
         self._last: Agents | None = None  # who ask
-        self._masked: bool | None = None  # known from its first reset on
+        self._masked = False  # whether it ever gave a mask in its info
         # Copies whose running episode began by itself at the last one's end, and has not moved yet.
         self._begun_by_end = np.zeros(num_areas, np.bool_)
 
@@ -136,13 +150,12 @@ class GymnasiumSimulation(Simulation):
     def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Steps every copy, and resets those whose episode ended."""
         batch = self._choices.read(actions[self._behavior.name])
-        try:
+        with blaming(f"{self._name} failed in a step"):
             batched, rewards, terminated, truncated, info = self._envs.step(batch)
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"{self._name} failed in a step", error) from error
+            observations, masks = self._read(batched, info)
         ended = terminated | truncated
-        observations, masks = self._read(batched, info)
-        got = rewards.astype(np.float32)
+        with np.errstate(over="ignore"):
+            got = rewards.astype(np.float32)
         check_finite(got, "a reward", self._ids)
         nobody = np.zeros(len(self._ids), np.bool_)
         agents = Agents.ungrouped(self._ids, got, nobody, nobody, observations, masks)
@@ -154,7 +167,10 @@ class GymnasiumSimulation(Simulation):
 
     def close(self) -> None:
         """Closes every copy."""
-        self._envs.close()
+        if not try_to_close(self._name, partial(self._envs.close, timeout=_CLOSING_SECONDS)):
+            self._envs.closed = True  # not once more when it is forgotten
+            for process in getattr(self._envs, "processes", ()):
+                process.kill()
 
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
@@ -176,18 +192,14 @@ class GymnasiumSimulation(Simulation):
         self, which: NDArray[np.bool_], masks: tuple[NDArray[np.bool_], ...]
     ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
         """Resets these copies; returns what all observe, and their masks, which were ``masks`` before."""
-        try:
+        with blaming(f"{self._name} failed in a reset"):
             if self._set:
                 settings = [self._parameters.draw(row) if which[row] else None for row in range(len(which))]
-                self._envs.set_attr("settings", settings)
+                self._envs.set_attr("settings_from_trainer", settings)
             seeds: Any = self._seeds
             batched, info = self._envs.reset(seed=seeds, options={"reset_mask": which})
-        except SimulationError:
-            raise
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"{self._name} failed in a reset", error) from error
+            observations, begun = self._read(batched, info)
         self._seeds = None  # a later episode goes on with its random numbers
-        observations, begun = self._read(batched, info)
         return observations, tuple(
             np.where(which[:, None], new, old) for old, new in zip(masks or begun, begun, strict=True)
         )
@@ -200,20 +212,18 @@ class GymnasiumSimulation(Simulation):
         return observations, self._masks(batched, info)
 
     def _masks(self, batched: Any, info: Mapping[str, Any]) -> tuple[NDArray[np.bool_], ...]:
+        if not self._choices.branches:
+            return ()
         allowed = self._sensors.mask(batched)
-        if allowed is None and ACTION_MASK in info and self._choices.branches:
-            said = info[f"_{ACTION_MASK}"]
-            allowed = np.ones((len(said), sum(self._choices.branches)), np.bool_)  # who said nothing may do anything
-            for row in np.flatnonzero(said):
-                mask = np.hstack(info[ACTION_MASK][row])  # some have one per branch
-                self._choices.check_mask(mask)
-                allowed[row] = mask
-        if self._masked is None:
-            self._masked = allowed is not None
+        said = info.get(ACTION_MASK, ())
+        self._masked |= len(said) > 0
         if allowed is None and self._masked:
-            allowed = np.ones((len(self._ids), sum(self._choices.branches)), np.bool_)
-        if allowed is not None and not self._masked:
-            raise SimulationError(f"{self._name} gave its first action_mask after it had begun without one.")
+            allowed = np.ones((len(self._ids), sum(self._choices.branches)), np.bool_)  # who says nothing may do all
+            for row, given in enumerate(said):
+                if given is not None:
+                    mask = np.hstack(given[0])  # some have one per branch
+                    self._choices.check_mask(mask)
+                    allowed[row] = mask
         return () if allowed is None else self._choices.forbidden(allowed)
 
 
@@ -221,37 +231,82 @@ class _Settable(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Takes up parameters when an episode begins: attributes, and arguments with which it is made anew.
 
     Attributes:
-        settings: Those for the next episode; None leaves all as they are.
+        settings_from_trainer: Those for the next episode; None leaves all as they are. No other wrapper has this name.
     """
 
     def __init__(
-        self, env: gymnasium.Env[Any, Any], name: str, arguments: Mapping[str, Any], attributes: tuple[str, ...]
+        self,
+        env: gymnasium.Env[Any, Any],
+        spec: gymnasium.envs.registration.EnvSpec,
+        arguments: Mapping[str, Any],
+        attributes: tuple[str, ...],
     ) -> None:
         super().__init__(env)
-        self.settings: Mapping[str, float] | None = None
-        self._name, self._arguments, self._attributes = name, dict(arguments), attributes
+        self.settings_from_trainer: Mapping[str, float] | None = None
+        self._random = np.random.default_rng(0)  # draws the seeds of environments made anew
+        self._made_of, self._arguments, self._attributes = spec, dict(arguments), attributes
         for attribute in attributes:
-            if not isinstance(getattr(env.unwrapped, attribute, None), int | float):
+            if not is_number(getattr(env.unwrapped, attribute, None)):
                 raise SimulationError(
-                    f"--parameters names {shown(attribute)}, but {name} has no such number; give an attribute of the "
-                    "unwrapped environment."
+                    f"--parameters names {shown(attribute)}, but {spec.id} has no such number; give an attribute of "
+                    "the unwrapped environment."
                 )
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Takes up the settings first."""
-        settings, self.settings = self.settings or {}, None
+        settings, self.settings_from_trainer = self.settings_from_trainer or {}, None
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
         arguments = {name: value for name, value in settings.items() if name not in self._attributes}
         changed = {name: like(self._arguments[name], value) for name, value in arguments.items()}
         if changed and {**self._arguments, **changed} != self._arguments:
             self._arguments |= changed
             if seed is None:
-                seed = int(self.env.unwrapped.np_random.integers(2**31))
+                seed = int(self._random.integers(2**31))
+            before = self.env.observation_space, self.env.action_space
             self.env.close()
-            self.env = gymnasium.make(self._name, disable_env_checker=True, **self._arguments)
+            self.env = gymnasium.make(self._made_of, disable_env_checker=True, **self._arguments)
+            if (self.env.observation_space, self.env.action_space) != before:
+                raise SimulationError(other_spaces(changed))
         for name in settings.keys() - arguments.keys():
             unwrapped = self.env.unwrapped
             setattr(unwrapped, name, like(getattr(unwrapped, name), settings[name]))
         return self.env.reset(seed=seed, options=options)
+
+
+class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Leaves of an info what is read of it: the rest need not be alike in all copies, and no other process has it."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Without options as somebody who has none begins an episode."""
+        observation, info = self.env.reset(seed=seed, options=options or None)
+        return observation, _only_mask(info)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """The same of a step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        number = float(np.asarray(reward, np.float64).reshape(()))  # some say [1.0]
+        return observation, number, bool(terminated), bool(truncated), _only_mask(info)
+
+
+def _only_mask(info: Mapping[str, Any]) -> dict[str, Any]:
+    mask = info.get(ACTION_MASK)
+    return {} if mask is None else {ACTION_MASK: [mask]}  # in a list, as a batch has no arrays of different shapes
+
+
+def _context() -> str | None:
+    """How copies' processes start: not as forks of the player, which crash with gRPC's threads and keep its socket."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return None
+    multiprocessing.set_forkserver_preload(["__main__", __name__])
+    return "forkserver"
+
+
+def _leave_interrupts(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    """In a copy's own process, leaves Ctrl-C to the player, which stops the copies in order."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return env
 
 
 class _Camera(gymnasium.ObservationWrapper[Any, Any, Any]):
@@ -295,10 +350,8 @@ def _registered(name: str) -> str:
     """The id's name in Gymnasium's registry, once its module was imported."""
     module, _, registered = name.rpartition(":")
     if module:
-        try:
+        with blaming(f"The module of --gym {shown(name)} can't be imported"):
             imported = importlib.import_module(module)
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"The module of --gym {shown(name)} can't be imported", error) from error
         register = getattr(imported, "register_envs", None)
         if registered not in gymnasium.registry and callable(register):
             register()  # some packages don't register by being imported
@@ -315,8 +368,6 @@ def _registered(name: str) -> str:
 
 def _wrapper(name: str) -> Callable[[Any], Any]:
     module, _, attribute = name.rpartition(":")
-    try:
+    with blaming(f"--wrapper is {shown(name)}, but MODULE:NAME of a wrapper was expected"):
         found: Callable[[Any], Any] = getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # whatever an author's code raises
-        raise failed(f"--wrapper is {shown(name)}, but MODULE:NAME of a wrapper was expected", error) from error
     return found

@@ -118,10 +118,10 @@ def _part(path: Path, space: spaces.Space[Any], owner: str) -> _Part:
                 raise refused(f"its numbers are {space.dtype}")
             read = _bytes if _is_picture_of_bytes(space) else _floats(shape)
         case spaces.Discrete():
-            shape, read = (int(space.n),), _one_hot(np.array([space.n]), np.array([space.start]))
+            shape, read = (int(space.n),), _one_hot(name, np.array([int(space.n)]), np.array([int(space.start)]))
         case spaces.MultiDiscrete():
-            sizes = space.nvec.ravel()
-            shape, read = (int(sizes.sum()),), _one_hot(sizes, space.start.ravel())
+            sizes, starts = space.nvec.ravel().astype(np.int64), space.start.ravel().astype(np.int64)
+            shape, read = (int(sizes.sum()),), _one_hot(name, sizes, starts)
         case spaces.MultiBinary():
             shape = (math.prod(space.shape),)
             read = _floats(shape)
@@ -148,13 +148,20 @@ def _floats(shape: tuple[int, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
     return read
 
 
-def _one_hot(sizes: NDArray[Any], starts: NDArray[Any]) -> Callable[[NDArray[Any]], NDArray[Any]]:
-    first = np.concatenate([[0], np.cumsum(sizes)[:-1]]) - starts
+def _one_hot(name: str, sizes: NDArray[np.int64], starts: NDArray[np.int64]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
 
     def read(values: NDArray[Any]) -> NDArray[Any]:
         count = len(values)
+        choices = np.asarray(values).astype(np.int64).reshape(count, -1) - starts
+        for row, which in np.argwhere((choices < 0) | (choices >= sizes))[:1].tolist():  # it would be another's one
+            low = int(starts[which])
+            raise SimulationError(
+                f"The environment gave {name} = {low + int(choices[row, which])}, but {low} to "
+                f"{low + int(sizes[which]) - 1} were expected."
+            )
         ones = np.zeros((count, int(sizes.sum())), np.float32)
-        ones[np.arange(count)[:, None], np.asarray(values).reshape(count, -1) + first] = 1
+        ones[np.arange(count)[:, None], choices + first] = 1
         return ones
 
     return read

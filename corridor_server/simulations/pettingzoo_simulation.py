@@ -17,7 +17,14 @@ from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
 from corridor_server.simulations.declared_parameters import DeclaredParameters
 from corridor_server.simulations.observation_sensors import ObservationSensors, check_finite
-from corridor_server.simulations.simulation import Moment, Simulation, SimulationError, Statistics, failed
+from corridor_server.simulations.simulation import (
+    Moment,
+    Simulation,
+    SimulationError,
+    Statistics,
+    blaming,
+    try_to_close,
+)
 
 EVERY_BEHAVIOR = "*"
 
@@ -57,20 +64,14 @@ class PettingZooEnvironment:
         Raises:
             SimulationError: It can't be made.
         """
-        try:
+        with blaming(f"The module of --pettingzoo {shown(self.module)} can't be imported"):
             module = importlib.import_module(self.module)
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"The module of --pettingzoo {shown(self.module)} can't be imported", error) from error
         kinds: list[tuple[str, type[AgentArea]]] = [("parallel_env", ParallelArea), ("env", TurnsArea)]
         for function, kind in kinds:
             make = getattr(module, function, None)
             if callable(make):
-                try:
+                with blaming(f"{self.module}.{function} can't be made"):
                     return kind(make, self.arguments, self.parameters)
-                except SimulationError:
-                    raise
-                except Exception as error:  # whatever an author's code raises
-                    raise failed(f"{self.module}.{function} can't be made", error) from error
         raise SimulationError(
             f"--pettingzoo is {shown(self.module)}, but a module with parallel_env or env was expected, such as "
             "mpe2.simple_spread_v3."
@@ -79,9 +80,9 @@ class PettingZooEnvironment:
     def behavior(self, agent: str) -> str:
         """The behavior of the agent with this name, without its team."""
         for name, pattern in self.behaviors:
-            if pattern.fullmatch(agent):
+            if pattern.fullmatch(str(agent)):
                 return name
-        return re.sub(r"_\d+$", "", agent)
+        return re.sub(r"(?<=.)_\d+$", "", str(agent))  # PettingZoo's agents may be numbers
 
 
 class _Role(NamedTuple):
@@ -116,8 +117,9 @@ class PettingZooSimulation(Simulation):
         self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
         numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
         self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
-        self._names = self._areas[0].possible_agents
-        self._roles = _roles(environment, self._areas[0])
+        with blaming(f"{environment.module} doesn't say what its agents are"):
+            self._names = self._areas[0].possible_agents
+            self._roles = _roles(environment, self._areas[0])
         self._role_of = {agent: self._roles[environment.behavior(agent)] for agent in self._names}
         self._numbers = {agent: number for number, agent in enumerate(self._names)}
         self._check_names()
@@ -143,8 +145,8 @@ class PettingZooSimulation(Simulation):
             if self._moved[number]:
                 self._begin(number)
             events += [(number, event) for event in area.asking()]
-        self._moved[:] = False
-        return self._moment(events)
+        self._moved[:] = True  # it began by this reset
+        return self._told(events, "a reset")
 
     def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Gives every agent that asked its action, and begins an episode where none of its agents is left."""
@@ -159,30 +161,29 @@ class PettingZooSimulation(Simulation):
                     chosen[number][agent] = action
         ended, asking = [], []
         for number, area in enumerate(self._areas):
-            try:
+            with blaming(f"{self._environment.module} failed in a step"):
                 ended += [(number, event) for event in area.step(chosen[number])]
-            except Exception as error:  # whatever an author's code raises
-                raise failed(f"{self._environment.module} failed in a step", error) from error
             self._moved[number] = True
             if area.is_over():
                 self._begin(number)
                 self._moved[number] = False
             asking += [(number, event) for event in area.asking()]
-        return self._moment([*ended, *asking]), {}
+        return self._told([*ended, *asking], "a step"), {}
 
     def close(self) -> None:
         """Closes every copy."""
         for area in self._areas:
-            area.close()
+            try_to_close(self._environment.module, area.close)
 
     def _begin(self, number: int) -> None:
         seed, self._seeds[number] = self._seeds[number], None  # a later episode goes on with its random numbers
-        try:
+        with blaming(f"{self._environment.module} failed in a reset"):
             self._areas[number].reset(seed, self._parameters.draw(number))
-        except SimulationError:
-            raise
-        except Exception as error:  # whatever an author's code raises
-            raise failed(f"{self._environment.module} failed in a reset", error) from error
+
+    def _told(self, events: Sequence[tuple[int, Event]], when: str) -> Moment:
+        """The moment of what the environments said, which may be anything."""
+        with blaming(f"{self._environment.module} gave in {when} what can't be used"):
+            return self._moment(events)
 
     def _moment(self, events: Sequence[tuple[int, Event]]) -> Moment:
         of_roles: dict[str, list[tuple[int, Event]]] = {name: [] for name in self._roles}
@@ -257,7 +258,7 @@ class PettingZooSimulation(Simulation):
             if name not in names:
                 raise SimulationError(
                     f"--behavior {shown(name)} fits none of the agents of {environment.module}: "
-                    f"{', '.join(self._names)}."
+                    f"{', '.join(map(str, self._names))}."
                 )
         if environment.groups and isinstance(self._areas[0], TurnsArea):
             raise SimulationError(

@@ -1,13 +1,17 @@
 """What a player plays: agents that ask for decisions, get rewards and end."""
 
+import logging
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
+
+logger = logging.getLogger(__name__)
 
 Moment = Mapping[str, Agents]
 Statistics = Mapping[str, NDArray[np.float64]]
@@ -17,10 +21,33 @@ class SimulationError(Exception):
     """The simulation can't be played, or not any further; the message is for the user."""
 
 
-def failed(what: str, error: Exception) -> SimulationError:
+def failed(what: str, error: BaseException) -> SimulationError:
     """What is said of an author's code that raised: one sentence with the error's own words."""
     said = " ".join(str(error).split())[:300]
+    if isinstance(error, EOFError) and not said:  # of the pipe to a copy's process
+        said = "its process ended"
     return SimulationError(f"{what} ({type(error).__name__}{': ' if said else ''}{said}).")
+
+
+@contextmanager
+def blaming(what: str) -> Iterator[None]:
+    """Says of an author's code within it that it failed, also of code that would end the process."""
+    try:
+        yield
+    except SimulationError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever an author's code raises
+        raise failed(what, error) from error
+
+
+def try_to_close(name: str, close: Callable[[], object]) -> bool:
+    """Closes what an author wrote; returns whether that went well. If not, the session was no worse for it."""
+    try:
+        close()
+    except (Exception, SystemExit) as error:  # whatever an author's code raises
+        logger.warning("%s", failed(f"{name} failed when it was closed", error))
+        return False
+    return True
 
 
 class Simulation(ABC):
