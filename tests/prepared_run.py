@@ -1,8 +1,9 @@
-"""A run as ``tests/faults/harness.py`` has it, whose trainers begin with everything imported."""
+"""A run as ``tests/faults/harness.py`` has it, whose trainers begin with everything imported and write rows often."""
 
 import sys
 from pathlib import Path
 
+from conftest import WITH_ROWS
 from prepared import Prepared
 
 sys.path.insert(0, str(Path(__file__).parent / "faults"))
@@ -13,4 +14,4 @@ class PreparedRun(Run):
     """A run of the tests; ``campaign.py`` has processes that import for themselves."""
 
     def start(self, *options: object) -> Prepared:
-        return Prepared([*self._command, *options])
+        return Prepared([WITH_ROWS, *self._command[1:], *options])

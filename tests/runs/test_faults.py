@@ -23,6 +23,7 @@ def uncut(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run that nothing happens to."""
     run = PreparedRun(tmp_path_factory.mktemp("uncut"), "uncut", 6420, *SHORT)
     assert run.finish() == 0, run.output
+    assert len(run.rows()) >= 4
     return run
 
 
