@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from conftest import corridor_here
 
-from trainer.bench import training_rates
+from trainer.bench import footprint, training_rates
 from trainer.bench.measure import run_bench
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
 from trainer.bench.workload import Workload
@@ -57,6 +57,7 @@ def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
         return corridor_here(*arguments)
 
     monkeypatch.setattr(training_rates, "subprocess", SimpleNamespace(run=train_here))
+    monkeypatch.setattr(footprint, "STARTS", 1)
     console = Terminal(record=True, width=160)
     run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console, SMALL)
     report = json.loads((tmp_path / "speed.json").read_text())

@@ -33,6 +33,7 @@ def train(results: Path, port: int, *arguments: object, env: Path = BUILD) -> su
     return corridor_here("train", *given, *arguments)
 
 
+@pytest.mark.slow
 def test_corridor_check_takes_the_build_and_finds_nothing(monkeypatch):
     """That the build keeps all topics is test_conformance_of_unity's."""
     monkeypatch.setattr(checker, "TOPICS", [Observations])

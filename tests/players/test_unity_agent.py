@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 from prepared import Prepared
 
-from trainer.conformance import Conformance, CorridorContract, Episodes, Observations, Reset
+from trainer.conformance import Actions, Conformance, CorridorContract, Episodes, Observations, Reset
 from trainer.conformance.checker import Result, check
 
 ROOT = Path(__file__).parents[2]
 UNITY = ROOT / "tests" / "unity"
 # How the build speaks and ends is no matter of the agent's: test_conformance_of_unity holds it to all topics.
-OF_THE_AGENT = [Episodes, Observations, Reset, CorridorContract]
+OF_THE_AGENT = [Episodes, Observations, Actions, Reset, CorridorContract]
 
 pytestmark = pytest.mark.skipif(shutil.which("mcs") is None, reason="Mono's C# compiler (mono-mcs) is not installed")
 
