@@ -16,6 +16,7 @@ from typing import Any
 import hypothesis
 import numpy as np
 import pytest
+from filelock import FileLock
 
 import trainer  # noqa: F401 - makes mlagents_envs importable
 from corridor_server.corridor import world
@@ -23,6 +24,7 @@ from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.parameters import EpisodeParameters
 
 BIN = Path(sys.executable).parent
+WITH_ROWS = Path(__file__).with_name("corridor_with_rows.py")
 
 hypothesis.settings.register_profile("untimed", deadline=None)  # a busy machine is no fault
 hypothesis.settings.load_profile("untimed")
@@ -162,12 +164,18 @@ def official_python(tmp_path_factory: pytest.TempPathFactory) -> str:
     python = interpreter("3.10")
     if python is None:
         pytest.skip("Unity's published client needs Python 3.10, and there is none on this machine")
-    folder = tmp_path_factory.mktemp("official")
-    pip = [str(folder / "bin" / "pip"), "install", "--quiet"]
-    subprocess.run([python, "-m", "venv", folder], check=True)
-    subprocess.run([*pip, "setuptools<81", "wheel"], check=True)
-    subprocess.run([*pip, *PINS, *MORE_PINS], check=True)
-    subprocess.run([*pip, "--no-deps", "--ignore-requires-python", "mlagents-envs==1.1.0"], check=True)
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_TEST_RUN_UID" in os.environ:
+        shared = shared.parent  # of all workers
+    folder = shared / "official"
+    with FileLock(f"{folder}.lock"):
+        if not (folder / "whole").exists():
+            pip = [str(folder / "bin" / "pip"), "install", "--quiet", "--no-compile"]
+            subprocess.run([python, "-m", "venv", folder], check=True)
+            subprocess.run([*pip, "setuptools<81", "wheel"], check=True)
+            subprocess.run([*pip, *PINS, *MORE_PINS], check=True)
+            subprocess.run([*pip, "--no-deps", "--ignore-requires-python", "mlagents-envs==1.1.0"], check=True)
+            (folder / "whole").touch()
     return str(folder / "bin" / "python")
 
 

@@ -4,9 +4,12 @@ import ast
 import importlib.util
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
+from conftest import corridor_here
 
+from trainer.bench import footprint, training_rates
 from trainer.bench.measure import run_bench
 from trainer.bench.measuring_process import CLIENT_PROGRAM, ECHO_PROGRAM, MeasuringProcess
 from trainer.bench.workload import Workload
@@ -17,7 +20,7 @@ SMALL = Workload(
     areas=(1, 8),
     rounds=1,
     seconds=0.05,
-    train_steps={"fast": 4000, "paper": 300},
+    train_steps={"fast": 2000, "paper": 300},
     train_rounds=1,
     players=((1, 8), (2, 4)),
     memory_steps={"1e6": 2000, "1e7": 4000},
@@ -47,7 +50,14 @@ def test_a_program_that_ends_at_once_is_named():
 
 
 @pytest.mark.slow
-def test_every_figure_is_there(tmp_path, free_port):
+def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
+    def train_here(command, **_):
+        python, dash, module, *arguments = command
+        assert (python, dash, module) == (sys.executable, "-m", "trainer.main")
+        return corridor_here(*arguments)
+
+    monkeypatch.setattr(training_rates, "subprocess", SimpleNamespace(run=train_here))
+    monkeypatch.setattr(footprint, "STARTS", 1)
     console = Terminal(record=True, width=160)
     run_bench(tmp_path / "speed.json", tmp_path / "speed.png", None, free_port, console, SMALL)
     report = json.loads((tmp_path / "speed.json").read_text())

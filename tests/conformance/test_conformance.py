@@ -1,10 +1,9 @@
 """The kit on our own player, strict sentences included: with both timings, and with a camera both ways."""
 
-import subprocess
-
 import numpy as np
 import pytest
 from conftest import BIN
+from prepared import Prepared
 
 from corridor_server.protocol.trainer_messages import initialization
 from trainer import conformance
@@ -17,8 +16,8 @@ class CorridorServer:
 
     strict = True
 
-    def start_player(self, port: int, *arguments: str) -> "subprocess.Popen[bytes]":
-        return subprocess.Popen([str(BIN / "corridor-server"), "--mlagents-port", str(port), *arguments])
+    def start_player(self, port: int, *arguments: str) -> Prepared:
+        return Prepared([BIN / "corridor-server", "--mlagents-port", port, *arguments])
 
 
 class InUnitysTiming(CorridorServer):

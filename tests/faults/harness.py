@@ -22,7 +22,7 @@ from trainer.runs.checkpoint import checkpoints, from_bytes
 BIN = Path(sys.executable).parent
 TIMING = {"steps_per_second", "wall_seconds"}
 PIDFD_GETFD = 438  # the system call's number, which Python does not wrap
-SHORT = ("--num-areas", 8, "--steps", 8_000, "--eval-episodes", 4, "--timeout-wait", 120)
+SHORT = ("--num-areas", 8, "--steps", 3_000, "--eval-episodes", 2, "--timeout-wait", 120)
 STARTING_SECONDS = 180.0  # on a machine that does ten other things
 
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import BIN
+from conftest import BIN, unused_port
 
 CLIENT = Path(__file__).with_name("real_client.py")
 
@@ -21,14 +21,21 @@ def outcomes(python: str, port: int) -> Outcomes:
     return {line["sentence"]: line for line in lines}
 
 
-def test_the_player_under_0_28_0(free_port):
-    failed = [line for line in outcomes(sys.executable, free_port).values() if line["verdict"] == "fail"]
+@pytest.fixture(scope="module")
+def under_0_28_0() -> Outcomes:
+    return outcomes(sys.executable, unused_port())
+
+
+def test_the_player_under_0_28_0(under_0_28_0):
+    failed = [line for line in under_0_28_0.values() if line["verdict"] == "fail"]
     assert not failed, failed
 
 
 @pytest.mark.slow
-def test_the_player_under_unitys_published_client_and_both_see_the_same_numbers(official_python, free_port):
+def test_the_player_under_unitys_published_client_and_both_see_the_same_numbers(
+    official_python, under_0_28_0, free_port
+):
     official = outcomes(official_python, free_port)
     assert {line["verdict"] for line in official.values()} == {"pass"}, official
     trajectory = "areas_and_seed_are_the_trainers_and_equal_seeds_give_equal_episodes"
-    assert outcomes(sys.executable, free_port)[trajectory]["detail"] == official[trajectory]["detail"]
+    assert under_0_28_0[trajectory]["detail"] == official[trajectory]["detail"]

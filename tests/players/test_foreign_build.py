@@ -10,6 +10,8 @@ import pytest
 import yaml
 from conftest import BIN, corridor_here
 
+from trainer.conformance import Observations, checker
+
 BUILD = Path(__file__).parents[1] / "unity" / "Build.x86_64"
 CORRIDOR = """
 [[behaviors]]
@@ -32,20 +34,23 @@ def train(results: Path, port: int, *arguments: object, env: Path = BUILD) -> su
 
 
 @pytest.mark.slow
-def test_the_build_keeps_the_protocol_and_the_contract():
+def test_corridor_check_takes_the_build_and_finds_nothing(monkeypatch):
+    """That the build keeps all topics is test_conformance_of_unity's."""
+    monkeypatch.setattr(checker, "TOPICS", [Observations])
     done = corridor_here("check", "--env", BUILD)
     assert done.returncode == 0, done.stdout
-    assert "0 fail" in done.stdout
+    assert "protocol: 4 pass, 0 fail" in done.stdout
+    assert "contract: 19 pass, 0 fail" in done.stdout
 
 
 def test_two_processes_of_it_train_with_parameters_and_engine_settings(tmp_path, free_port):
     (tmp_path / "settings.yaml").write_text("environment_parameters: {opponent_speed: 1.5, goal_x: 8}")
-    options = ("--num-envs", 2, "--num-areas", 8, "--steps", 12_000, "--eval-episodes", 8, "--time-scale", 7)
+    options = ("--num-envs", 2, "--num-areas", 8, "--steps", 4_000, "--eval-episodes", 8, "--time-scale", 7)
     given = ("--config", tmp_path / "settings.yaml", "--env-param", "goal_x=8.5")
     done = train(tmp_path, free_port, *options, *given)
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "r" / "summary.json").read_text())
-    assert summary["env_steps"] >= 12_000
+    assert summary["env_steps"] >= 4_000
     assert summary["restarts"] == 0
     assert summary["evaluation"]["success_rate"] is not None
     assert summary["evaluation"]["mean_return"] < 0
@@ -62,7 +67,7 @@ def test_two_processes_of_it_train_with_parameters_and_engine_settings(tmp_path,
 
 def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
     own = ("--env-args", "--spec", "corridor_discrete")
-    done = train(tmp_path, free_port, "--c", 0, "--num-areas", 8, "--steps", 2_000, "--eval-episodes", 2, *own)
+    done = train(tmp_path, free_port, "--c", 0, "--num-areas", 8, "--steps", 1_000, "--eval-episodes", 1, *own)
     assert done.returncode == 0, done.stderr
     record = yaml.safe_load((tmp_path / "r" / "configuration.yaml").read_text())
     assert record["run"]["env_args"] == list(own[1:])

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from conftest import interpreter
 
+PIP = [sys.executable, "-m", "pip"]
 ROOT = Path(__file__).parents[2]
 
 THOUSAND_STEPS = """
@@ -27,17 +28,26 @@ print("done")
 """
 
 
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``pip install .`` builds and installs, whichever Python it is for."""
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run([*PIP, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT], check=True, cwd=folder)
+    (built,) = folder.glob("*-py3-none-any.whl")
+    return built
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
-def test_the_client_runs_on_python(version, tmp_path, free_port):
-    """Installs ``.[client]`` (no torch) and steps the player with the unmodified mlagents-envs."""
+def test_the_client_runs_on_python(version, wheel, tmp_path, free_port):
+    """Installs the wheel's ``[client]`` (no torch) and steps the player with the unmodified mlagents-envs."""
     python = sys.executable if sys.version_info[:2] == tuple(map(int, version.split("."))) else interpreter(version)
     if python is None:
         pytest.skip(f"no Python {version} on this machine")
-    subprocess.run([python, "-m", "venv", tmp_path / "venv"], check=True)
+    subprocess.run([python, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
     bin_folder = tmp_path / "venv" / "bin"
-    install = [bin_folder / "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt", f"{ROOT}[client]"]
-    subprocess.run(install, check=True, cwd=tmp_path)
+    install = ["install", "--quiet", "--no-compile", "--constraint", ROOT / "constraints.txt", f"{wheel}[client]"]
+    subprocess.run([*PIP, "--python", bin_folder / "python", *install], check=True, cwd=tmp_path)
     program = [bin_folder / "python", "-c", THOUSAND_STEPS, bin_folder / "corridor-server", str(free_port)]
     run = subprocess.run(program, capture_output=True, text=True, cwd=tmp_path, timeout=120)
     assert run.stdout.endswith("done\n"), run.stderr

@@ -9,16 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import BIN
+from conftest import BIN, WITH_ROWS, corridor_here
+from prepared import Prepared
 
 from trainer.main import main
 
 TIMING = {"steps_per_second", "wall_seconds"}
-
-
-def corridor(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess[str]:
-    command = [str(BIN / "corridor"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -33,12 +29,13 @@ def wait_for_a_row(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port):
+def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port, monkeypatch):
+    monkeypatch.setattr("trainer.runs.callbacks.ROW_STEPS", 500)
     found = []
     for name in ("one", "two"):
-        done = corridor(
+        done = corridor_here(
             "train", "--run-id", name, "--results-dir", tmp_path, "--base-port", free_port, "--num-envs", 3,
-            "--num-areas", 5, "--steps", 20_000, "--eval-episodes", 6,
+            "--num-areas", 5, "--steps", 5_000, "--eval-episodes", 6,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         found.append(
@@ -50,20 +47,19 @@ def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port
 
 
 def test_training_goes_on_when_a_player_is_killed(tmp_path, free_port):
-    process = subprocess.Popen(
-        [str(BIN / "corridor"), "train", "--run-id", "r", "--results-dir", str(tmp_path), "--base-port",
-         str(free_port), "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    process = Prepared(
+        [WITH_ROWS, "train", "--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port,
+         "--num-envs", 2, "--num-areas", 4, "--steps", 8_000, "--eval-episodes", 4]
     )  # fmt: skip
     wait_for_a_row(tmp_path / "r")
     found = subprocess.run(["pgrep", "-f", f"mlagents-port {free_port + 1}"], capture_output=True, text=True).stdout
     os.kill(int(found), signal.SIGKILL)
-    _, errors = process.communicate(timeout=300)
+    errors, _ = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert "It is started again (restart 1)." in errors
     summary = json.loads((tmp_path / "r" / "summary.json").read_text())
     assert summary["restarts"] == 1
-    assert summary["env_steps"] >= 30_000
+    assert summary["env_steps"] >= 8_000
     assert summary["evaluation"]["episodes"] == 4
 
 
@@ -75,20 +71,21 @@ def dial_in(port: int) -> subprocess.Popen[bytes]:
 
 
 def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_path, free_port):
-    process = subprocess.Popen(
-        [str(BIN / "corridor"), "train", "--run-id", "r", "--results-dir", str(tmp_path), "--env",
-         f"localhost:{free_port}", "--num-envs", "2", "--num-areas", "4", "--steps", "30000", "--eval-episodes", "4"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    process = Prepared(
+        [WITH_ROWS, "train", "--run-id", "r", "--results-dir", tmp_path, "--env", f"localhost:{free_port}",
+         "--num-envs", 2, "--num-areas", 4, "--steps", 8_000, "--eval-episodes", 4]
     )  # fmt: skip
     away = [dial_in(free_port + number) for number in range(2)]
     wait_for_a_row(tmp_path / "r")
     away[1].kill()
-    said = process.stderr.readline()
-    assert "Waiting for it to dial in again (restart 1)." in said
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and "Waiting for it to dial in again (restart 1)." not in process.said():
+        time.sleep(0.05)
     away.append(dial_in(free_port + 1))
-    _, errors = process.communicate(timeout=300)
+    errors, _ = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["restarts"] == 1
+    assert "Waiting for it to dial in again (restart 1)." in errors
     assert [each.wait(20) for each in away] == [0, -signal.SIGKILL, 0]
 
 

@@ -1,7 +1,7 @@
 """Holds our player against TorchRL's ``UnityMLAgentsEnv``, where this interpreter has it; prints what came as JSON.
 
-``python torchrl_client.py PLAYER PORT ARGUMENT...``. TorchRL names an agent by its id, and refuses one that it has not seen
-in the first message. Its own ``check_env_specs`` comes first, then 1,000 steps over many ends.
+``python torchrl_client.py PLAYER PORT ARGUMENT...``. TorchRL names an agent by its id, and refuses one that it has not
+seen in the first message. Its own ``check_env_specs`` comes first, then 1,000 steps over many ends.
 """
 
 import json

@@ -138,6 +138,9 @@ def _bits(values: np.ndarray) -> bytes:
     return np.where(np.isnan(values), np.full(1, np.nan, np.float32), values).tobytes()
 
 
+IS_TAG = np.isin(np.arange(256), list(b"\x0a\x3d\x40\x48\x50\x5a\x6a\x70\x7d"))  # of an agent's fields
+
+
 def mutated(rng: np.random.Generator, data: bytes) -> bytes:
     """Some bytes changed, cut out, put in or repeated; often near a row's beginning, where its fields are."""
     changed = bytearray(data)
@@ -149,9 +152,9 @@ def mutated(rng: np.random.Generator, data: bytes) -> bytes:
             case 1:
                 changed[place] ^= 1 << int(rng.integers(8))
             case 2:
-                tags = [at for at, byte in enumerate(changed) if byte in b"\x0a\x3d\x40\x48\x50\x5a\x6a\x70\x7d"]
-                near = int(rng.choice(tags, 1)[0] if tags else place) + int(rng.integers(-1, 2))
-                changed[min(max(near, 0), len(changed) - 1)] = int(rng.choice([0, 1, 2, 0x80, 255]))
+                (tags,) = IS_TAG[np.frombuffer(bytes(changed), np.uint8)].nonzero()
+                near = int(tags[rng.integers(len(tags))] if len(tags) else place) + int(rng.integers(-1, 2))
+                changed[min(max(near, 0), len(changed) - 1)] = b"\x00\x01\x02\x80\xff"[rng.integers(5)]
             case 3:
                 del changed[place : place + int(rng.integers(1, 9))]
             case _:

@@ -9,13 +9,14 @@ from conftest import BIN
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
 from harness import Run, stop_with
+from prepared_run import PreparedRun
 
 PAPER = ("--preset", "paper", "--steps", 1_000, "--eval-episodes", 1)
 
 
 def stopped_and_resumed(folder: Path, port: int, number: int, steps: int, *options: object) -> Run:
     """A run that a signal stops after so many steps, once it equals one that nothing stops."""
-    whole, cut = (Run(folder, name, port, *options) for name in ("whole", "cut"))
+    whole, cut = (PreparedRun(folder, name, port, *options) for name in ("whole", "cut"))
     assert whole.finish() == 0, whole.output
     assert stop_with(cut, number, steps, 0.01) == 130
     assert cut.finish("--resume") == 0, cut.output
@@ -30,7 +31,7 @@ def test_two_players_with_samplers(tmp_path, free_port):
         "environment_parameters:\n  opponent_speed:\n    sampler_type: gaussian\n"
         "    sampler_parameters: {mean: 1, st_dev: 0.3}\n"
     )
-    options = ("--num-envs", 2, "--num-areas", 4, "--steps", 4_000, "--eval-episodes", 4, "--config", settings)
+    options = ("--num-envs", 2, "--num-areas", 4, "--steps", 2_000, "--eval-episodes", 2, "--config", settings)
     stopped_and_resumed(tmp_path, free_port, signal.SIGINT, 1_000, *options)
 
 

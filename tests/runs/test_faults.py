@@ -15,20 +15,22 @@ from trainer.runs.callbacks import StopOnSignal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
 from harness import SHORT, Run, close_folder, mount_small, stop_with, train_with_kills
+from prepared_run import PreparedRun
 
 
 @pytest.fixture(scope="module")
 def uncut(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run that nothing happens to."""
-    run = Run(tmp_path_factory.mktemp("uncut"), "uncut", 6420, *SHORT)
+    run = PreparedRun(tmp_path_factory.mktemp("uncut"), "uncut", 6420, *SHORT)
     assert run.finish() == 0, run.output
+    assert len(run.rows()) >= 4
     return run
 
 
 @pytest.mark.slow
 def test_a_killed_trainer_resumed_gives_the_uncut_runs_weights_rows_and_curves(uncut, tmp_path, free_port):
-    run = Run(tmp_path, "killed", free_port, *SHORT)
-    moments = train_with_kills(run, 2, 8_000, random.Random(0))
+    run = PreparedRun(tmp_path, "killed", free_port, *SHORT)
+    moments = train_with_kills(run, 2, 3_000, random.Random(0))
     run.equals(uncut)
     assert run.summary()["restarts"] == run.summary()["resumes"] >= sum(step > 0 for step in moments) - 1
 
@@ -36,8 +38,8 @@ def test_a_killed_trainer_resumed_gives_the_uncut_runs_weights_rows_and_curves(u
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])  # SIGTERM: with the paper's preset
 def test_a_signal_stops_the_run_cleanly_and_the_rest_is_as_uncut(uncut, tmp_path, free_port, number):
-    run = Run(tmp_path, "stopped", free_port, *SHORT)
-    assert stop_with(run, number, 2_000, 0.01) == 130
+    run = PreparedRun(tmp_path, "stopped", free_port, *SHORT)
+    assert stop_with(run, number, 1_000, 0.01) == 130
     assert "go on with --resume" in run.output
     assert "Traceback" not in run.output
     run.leaves_nothing_behind()
@@ -50,10 +52,10 @@ def test_a_signal_stops_the_run_cleanly_and_the_rest_is_as_uncut(uncut, tmp_path
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk takes root")
 def test_a_full_disk_ends_the_run_with_a_sentence_and_room_lets_it_go_on(uncut, tmp_path, free_port):
     disk = tmp_path / "disk"
-    if not mount_small(disk, "300k"):
+    if not mount_small(disk, "200k"):
         pytest.skip("mounting is not allowed here")
     try:
-        run = Run(disk, "full", free_port, *SHORT)
+        run = PreparedRun(disk, "full", free_port, *SHORT)
         assert run.finish() == 1
         assert "can't be written (No space left on device)" in run.output
         assert "Traceback" not in run.output
@@ -68,9 +70,9 @@ def test_a_full_disk_ends_the_run_with_a_sentence_and_room_lets_it_go_on(uncut, 
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting takes root")
 def test_a_results_folder_that_becomes_read_only_ends_the_run_with_a_sentence(uncut, tmp_path, free_port):
-    run = Run(tmp_path, "closed", free_port, *SHORT)
+    run = PreparedRun(tmp_path, "closed", free_port, *SHORT)
     process = run.start()
-    run.wait_for_steps(process, 2_000)
+    run.wait_for_steps(process, 1_000)
     with close_folder(run.folder / "checkpoints") as closed:
         if not closed:
             process.kill()

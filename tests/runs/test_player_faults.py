@@ -10,7 +10,8 @@ import pytest
 from conftest import BIN
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
-from harness import SHORT, Run, cut_connection, hurt_player, send
+from harness import SHORT, cut_connection, hurt_player, send
+from prepared_run import PreparedRun
 
 
 @pytest.mark.slow
@@ -28,18 +29,16 @@ from harness import SHORT, Run, cut_connection, hurt_player, send
 )
 def test_a_player_that_dies_hangs_or_loses_its_connection_is_started_again(tmp_path, free_port, fault):
     # Times out after 10 s: on a busy machine, a player may well be silent for some.
-    run = Run(
-        tmp_path, "hurt", free_port, "--num-areas", 8, "--steps", 8_000, "--eval-episodes", 4, "--timeout-wait", 10
-    )
-    assert hurt_player(run, fault, 2_000, 0.01) == 0, run.output
+    run = PreparedRun(tmp_path, "hurt", free_port, *SHORT, "--timeout-wait", 10)
+    assert hurt_player(run, fault, 1_000, 0.01) == 0, run.output
     run.leaves_nothing_behind()
     assert run.summary()["player_restarts"] >= 1
-    assert run.summary()["env_steps"] >= 8_000
+    assert run.summary()["env_steps"] >= 3_000
 
 
 @pytest.mark.parametrize("listen", ["localhost", "0.0.0.0"])
 def test_the_trainer_listens_on_loopback_unless_told_otherwise_and_then_warns(tmp_path, free_port, listen):
-    run = Run(tmp_path, "listens", free_port, *SHORT, *(["--listen", listen] if listen != "localhost" else []))
+    run = PreparedRun(tmp_path, "listens", free_port, *SHORT, *(["--listen", listen] if listen != "localhost" else []))
     process, listening = run.start(), ""
     while not listening and process.poll() is None:
         listening = subprocess.run(["ss", "-Hltn", f"sport = :{free_port}"], capture_output=True, text=True).stdout
@@ -63,5 +62,5 @@ def test_a_player_whose_trainer_is_gone_before_it_connects_ends(tmp_path, free_p
     log = tmp_path / "log"
     arguments = [str(BIN / "corridor-server"), str(free_port), str(log)]
     subprocess.run([sys.executable, "-c", STARTS_A_PLAYER_AND_ENDS, *arguments], check=True, timeout=60)
-    Run(tmp_path, "none", free_port).leaves_nothing_behind()
+    PreparedRun(tmp_path, "none", free_port).leaves_nothing_behind()
     assert "which started this player, is gone" in log.read_text()

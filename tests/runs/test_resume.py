@@ -1,5 +1,8 @@
 """Numbers that go bad stop a run and stay out of its checkpoints; checkpoints of other runs are refused."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 from recorded_run import trained_run
@@ -82,19 +85,21 @@ def in_format_1(checkpoint: Checkpoint) -> Checkpoint:
 
 
 def test_a_checkpoint_of_the_first_format_goes_on_to_the_bit(tmp_path, free_port, monkeypatch):
-    def train_to(name: str, steps: int, resumed: bool) -> RunFolder:
-        config = Train(name, num_areas=8, training=TrainingOptions(steps=steps)).run_config()
-        return trained_run(config, tmp_path, free_port, resume=resumed)
+    def train_to(results: Path, steps: int, resumed: bool) -> RunFolder:
+        config = Train("r", num_areas=8, training=TrainingOptions(steps=steps)).run_config()
+        return trained_run(config, results, free_port, resume=resumed)
 
     final = []
+    train_to(tmp_path / "today", 256, resumed=False)
+    shutil.copytree(tmp_path / "today", tmp_path / "before")
     for name in ("today", "before"):
-        newest = checkpoints(train_to(name, 256, resumed=False).checkpoints)[-1]
+        newest = checkpoints(tmp_path / name / "r" / "checkpoints")[-1]
         if name == "before":
             old = in_format_1(from_bytes(newest.read_bytes()))
             with monkeypatch.context() as patch:
                 patch.setattr("trainer.runs.checkpoint.FORMAT", 1)
                 newest.write_bytes(to_bytes(old))
-        final.append(read_checkpoint(train_to(name, 512, resumed=True).checkpoints))
+        final.append(read_checkpoint(train_to(tmp_path / name, 512, resumed=True).checkpoints))
     today, before = final
     assert today.arrays.keys() == before.arrays.keys()
     assert [name for name, array in today.arrays.items() if not np.array_equal(array, before.arrays[name])] == []

@@ -1,4 +1,4 @@
-"""``corridor train`` and ``corridor evaluate`` as a user runs them: real processes, real files."""
+"""``corridor train`` and ``corridor evaluate``: real players and files, and a process where signals or deaths come."""
 
 import csv
 import json
@@ -12,7 +12,8 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
-from conftest import BIN, corridor_here, unused_port
+from conftest import WITH_ROWS, corridor_here, unused_port
+from prepared import Prepared
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -26,16 +27,13 @@ from trainer.learning.normaliser import ObservationStatistics
 from trainer.learning.stages import build_stages
 from trainer.runs.logs import PROGRESS_COLUMNS
 
+ROW_STEPS = 500  # as corridor_with_rows has it
+SHORT = ("--steps", 8_000, "--num-areas", 16, "--eval-episodes", 20)
 TIMING = {"steps_per_second", "wall_seconds"}
 
 
-def corridor(*arguments: object, timeout: float = 300) -> subprocess.CompletedProcess[str]:
-    command = [str(BIN / "corridor"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
-
-
 def train(run_id: str, results: Path, port: int, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return corridor("train", "--run-id", run_id, "--results-dir", results, "--base-port", port, *arguments)
+    return corridor_here("train", "--run-id", run_id, "--results-dir", results, "--base-port", port, *arguments)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -47,13 +45,18 @@ def processes(port: int) -> str:
     return subprocess.run(["pgrep", "-af", f"mlagents-port {port}"], capture_output=True, text=True).stdout
 
 
+@pytest.fixture(autouse=True)
+def _rows_in_short_runs(monkeypatch):
+    monkeypatch.setattr("trainer.runs.callbacks.ROW_STEPS", ROW_STEPS)
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short run of the default preset."""
+    """A short run of the default preset, in a process of its own; most others are trained in that of the tests."""
     results = tmp_path_factory.mktemp("results")
-    port = unused_port()
-    done = train("short", results, port, "--steps", 40_000, "--num-areas", 16, "--eval-episodes", 20)
-    assert done.returncode == 0, done.stderr
+    given = ["train", "--run-id", "short", "--results-dir", results, "--base-port", unused_port(), *SHORT]
+    process = Prepared([WITH_ROWS, *given])
+    assert process.wait(300) == 0, process.said()
     return results / "short"
 
 
@@ -70,7 +73,7 @@ def test_the_summary_has_the_contracts_keys(run):
         "run_id", "env", "preset", "algo", "seed", "c", "penalty", "env_steps", "episodes", "wall_seconds",
         "steps_per_second", "steps_to_50_success", "steps_to_90_success", "evaluation",
     ]  # fmt: skip
-    assert summary["env_steps"] >= 40_000
+    assert summary["env_steps"] >= 8_000
     evaluation = summary["evaluation"]
     assert list(evaluation) == [
         "episodes", "success_rate", "mean_return", "mean_episode_length", "opponent_contact_rate", "wall_contact_rate",
@@ -107,7 +110,7 @@ def test_tensorboard_has_sb3s_and_ml_agents_tags(run):
 
 def test_the_same_seed_gives_the_same_progress(run, free_port):
     results = run.parent
-    again = train("again", results, free_port, "--steps", 40_000, "--num-areas", 16, "--eval-episodes", 20)
+    again = train("again", results, free_port, *SHORT)
     assert again.returncode == 0, again.stderr
     first, second = rows(run / "progress.csv"), rows(results / "again" / "progress.csv")
     assert len(first) >= 4
@@ -120,13 +123,17 @@ def test_the_same_seed_gives_the_same_progress(run, free_port):
 
 def test_another_seed_gives_another_run(run, free_port):
     results = run.parent
-    other = train("other", results, free_port, "--steps", 12_000, "--num-areas", 16, "--seed", 7, "--eval-episodes", 5)
+    other = train("other", results, free_port, "--steps", 4_000, "--num-areas", 16, "--seed", 7, "--eval-episodes", 1)
     assert other.returncode == 0, other.stderr
-    assert rows(run / "progress.csv")[0]["mean_return"] != rows(results / "other" / "progress.csv")[0]["mean_return"]
+    first = {row["env_steps"]: row["mean_return"] for row in rows(run / "progress.csv")}
+    second = {row["env_steps"]: row["mean_return"] for row in rows(results / "other" / "progress.csv")}
+    both = [steps for steps in first.keys() & second.keys() if first[steps] and second[steps]]
+    assert both
+    assert all(first[steps] != second[steps] for steps in both)
 
 
 def test_evaluate_repeats_the_evaluation(run, free_port):
-    done = corridor("evaluate", "short", "--episodes", 20, "--results-dir", run.parent, "--base-port", free_port)
+    done = corridor_here("evaluate", "short", "--episodes", 20, "--results-dir", run.parent, "--base-port", free_port)
     assert done.returncode == 0, done.stderr
     evaluation = json.loads((run / "summary.json").read_text())["evaluation"]
     for name in ("success_rate", "mean_return", "mean_episode_length"):
@@ -147,13 +154,13 @@ def test_evaluate_plays_the_checkpoint_that_is_named(run, tmp_path, free_port):
 
 
 def test_base_ppo_has_no_curiosity(tmp_path, free_port):
-    done = train("base", tmp_path, free_port, "--c", 0, "--steps", 12_000, "--num-areas", 8, "--eval-episodes", 4)
+    done = train("base", tmp_path, free_port, "--c", 0, "--steps", 3_000, "--num-areas", 8, "--eval-episodes", 1)
     assert done.returncode == 0, done.stderr
     assert {row["intrinsic_reward"] for row in rows(tmp_path / "base" / "progress.csv")} == {""}
 
 
 def test_the_paper_preset_goes_through_the_gym_wrapper(tmp_path, free_port):
-    done = train("paper", tmp_path, free_port, "--preset", "paper", "--steps", 1_500, "--eval-episodes", 1)
+    done = train("paper", tmp_path, free_port, "--preset", "paper", "--steps", 600, "--eval-episodes", 1)
     assert done.returncode == 0, done.stderr
     record = yaml.safe_load((tmp_path / "paper" / "configuration.yaml").read_text())
     assert record["run"]["through_gym"] is True
@@ -163,7 +170,7 @@ def test_the_paper_preset_goes_through_the_gym_wrapper(tmp_path, free_port):
 
 
 def test_case_study_b_switches_the_failure_penalty_off(tmp_path, free_port):
-    options = ("--penalty", 0, "--steps", 12_000, "--num-areas", 8, "--eval-episodes", 8)
+    options = ("--penalty", 0, "--steps", 4_000, "--num-areas", 8, "--eval-episodes", 1)
     assert train("b", tmp_path, free_port, *options).returncode == 0
     returns = [float(row["mean_return"]) for row in rows(tmp_path / "b" / "progress.csv") if row["mean_return"]]
     assert returns
@@ -172,9 +179,7 @@ def test_case_study_b_switches_the_failure_penalty_off(tmp_path, free_port):
 
 def test_ctrl_c_saves_and_leaves_nothing_behind_and_resume_goes_on(tmp_path, free_port):
     options = ["--run-id", "cut", "--results-dir", str(tmp_path), "--base-port", str(free_port), "--num-areas", "8"]
-    process = subprocess.Popen(
-        [str(BIN / "corridor"), "train", *options, "--steps", "60000"], stdout=subprocess.PIPE, text=True
-    )
+    process = Prepared([WITH_ROWS, "train", *options, "--steps", 10_000])
     progress = tmp_path / "cut" / "progress.csv"
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not (progress.exists() and len(rows(progress)) >= 1):
@@ -185,30 +190,29 @@ def test_ctrl_c_saves_and_leaves_nothing_behind_and_resume_goes_on(tmp_path, fre
     assert "go on with --resume" in output
     assert processes(free_port) == ""
     cut = json.loads((tmp_path / "cut" / "summary.json").read_text())
-    assert 0 < cut["env_steps"] < 60_000
+    assert 0 < cut["env_steps"] < 10_000
     assert cut["evaluation"] is None
 
-    resumed = corridor("train", *options, "--steps", 60000, "--eval-episodes", 4, "--resume")
+    resumed = corridor_here("train", *options, "--steps", 10000, "--eval-episodes", 1, "--resume")
     assert resumed.returncode == 0, resumed.stderr
     summary = json.loads((tmp_path / "cut" / "summary.json").read_text())
-    assert summary["env_steps"] >= 60_000
+    assert summary["env_steps"] >= 10_000
     assert summary["episodes"] > cut["episodes"]
     steps = [float(row["env_steps"]) for row in rows(progress)]
     assert steps == sorted(set(steps))
 
 
 def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, free_port):
-    process = subprocess.Popen(
-        [str(BIN / "corridor"), "train", "--run-id", "dies", "--results-dir", str(tmp_path), "--base-port",
-         str(free_port), "--num-areas", "8", "--max-lifetime-restarts", "0"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    process = Prepared(
+        [WITH_ROWS, "train", "--run-id", "dies", "--results-dir", tmp_path, "--base-port", free_port,
+         "--num-areas", 8, "--max-lifetime-restarts", 0]
     )  # fmt: skip
     progress = tmp_path / "dies" / "progress.csv"
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not (progress.exists() and len(rows(progress)) >= 1):
         time.sleep(0.1)
     subprocess.run(["pkill", "-9", "-f", f"mlagents-port {free_port}"], check=True)
-    _, errors = process.communicate(timeout=60)
+    errors, _ = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "Environment shut down with return code -9 (SIGKILL)." in errors
     assert "is not started again: --max-lifetime-restarts allows 0." in errors

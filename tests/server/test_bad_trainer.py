@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from conftest import BIN
+from prepared import Prepared
 
 from corridor_server.protocol.messages import QUIT, UnityMessageProto
 from corridor_server.protocol.trainer_messages import command, initialization, step, stopping
@@ -22,10 +23,8 @@ class Player:
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.trainer = RawTrainer()
         self._log = folder / "player.log"
-        port = str(self.trainer.port)
-        self.process = subprocess.Popen(
-            [str(BIN / "corridor-server"), "--mlagents-port", port, "-logFile", str(self._log), *arguments]
-        )
+        dialling = ("--mlagents-port", self.trainer.port, "-logFile", self._log)
+        self.process = Prepared([BIN / "corridor-server", *dialling, *arguments])
 
     def begin(self) -> "Player":
         self.trainer.handshake()

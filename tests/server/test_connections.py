@@ -67,7 +67,7 @@ def test_a_thousand_sessions_leave_nothing_behind(free_port):
 
 @pytest.mark.slow
 def test_sessions_of_real_processes_leave_nothing_behind(free_port):
-    for seed in range(25):
+    for seed in range(10):
         environment = open_environment("builtin", seed=seed, num_areas=1, port=free_port, timeout_wait=20)
         environment.reset()
         environment.close()

@@ -63,7 +63,7 @@ def test_a_narrower_corridor_has_everything_inside():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     results = tmp_path_factory.mktemp("results")
-    options = ["--run-id", "mine", "--steps", "12000", "--num-areas", "8", "--eval-episodes", "4"]
+    options = ["--run-id", "mine", "--steps", "1000", "--num-areas", "8", "--eval-episodes", "4"]
     assert main(["train", *options, "--base-port", "7641", "--results-dir", str(results)]) == 0
     return RunFolder.find("mine", results)
 

@@ -3,13 +3,13 @@
 import json
 import random
 import struct
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from prepared import Prepared
 
 from corridor_server.protocol import side_channels as channels
 from corridor_server.protocol.messages import RESET, STEP, UnityMessageProto
@@ -58,7 +58,7 @@ class Game:
     """A conversation with a build: its outputs (UnityOutputProto) and the bytes of its messages, as they came."""
 
     trainer: RawTrainer
-    process: "subprocess.Popen[bytes]"
+    process: Prepared
     log: Path
     specs: dict[str, Any] = field(default_factory=dict)
     books: dict[int, Books] = field(default_factory=dict)
@@ -120,7 +120,7 @@ def started(spec: str | Path, folder: Path, *arguments: str) -> Iterator[Game]:
     log = folder / f"{Path(spec).stem}.log"
     with RawTrainer() as trainer:
         own = ("-nographics", "-batchmode", "--mlagents-port", str(trainer.port), "-logFile", str(log))
-        process = subprocess.Popen([sys.executable, BUILD, *own, "--spec", str(spec), *arguments])
+        process = Prepared([BUILD, *own, "--spec", spec, *arguments])
         try:
             yield Game(trainer, process, log)
         finally:

@@ -28,7 +28,7 @@ def trained(tmp_path_factory) -> RunFolder:
     """A real run, as short as a run can be, and evaluated on 12 episodes."""
     results = tmp_path_factory.mktemp("results")
     options = ["--results-dir", results, "--base-port", 5745, "--num-areas", 8, "--num-envs", 2]
-    options += ["--env-param", "opponent_speed=1.3", "--penalty", 0.3]
+    options += ["--env-param", "opponent_speed=1.3", "max_episode_steps=60", "--penalty", 0.3]
     done = corridor_here("train", "--run-id", "r", *options, "--steps", 3000, "--eval-episodes", 12)
     assert done.returncode == 0, done.stderr
     return RunFolder(results / "r")

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from conftest import BIN
+from conftest import BIN, corridor_here
 from recorded_run import GOLDEN, recorded_run
 
 from corridor_server.corridor.gym_env import CorridorEnv
@@ -221,9 +221,8 @@ def test_a_foreign_players_run_says_when_there_will_be_episodes(page_server, tmp
 
 def test_the_newest_checkpoint_of_a_training_run_is_played(page_server, tmp_path):
     results = tmp_path / "results"
-    command = [BIN / "corridor", "train", "--run-id", "r", "--results-dir", results, "--base-port", "5755"]
-    done = subprocess.run([*command, "--steps", "2000", "--num-areas", "16", "--eval-episodes", "16"])
-    assert done.returncode == 0
+    options = ["--run-id", "r", "--results-dir", results, "--base-port", 5755, "--num-areas", 16, "--steps", 2000]
+    assert corridor_here("train", *options, "--eval-episodes", 16).returncode == 0
     before = {path: path.stat().st_mtime_ns for path in results.rglob("*") if path.is_file()}
     recorded = load_trajectories(results / "r" / "trajectories.npz")
     [checkpoint] = (results / "r" / "checkpoints").glob("step-*.safetensors")
@@ -254,14 +253,14 @@ def test_a_port_in_use_and_a_clean_end(tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        command = [BIN / "corridor", "watch", "--results-dir", tmp_path, "--port"]
-        done = subprocess.run([*command, str(port)], capture_output=True, text=True, timeout=60)
+        options = ["watch", "--results-dir", tmp_path, "--port"]
+        done = corridor_here(*options, port)
         assert done.returncode == 1
         assert f"Port {port} can't be opened" in done.stderr
-    done = subprocess.run([*command, "70000"], capture_output=True, text=True, timeout=60)
+    done = corridor_here(*options, 70000)
     assert "ports go from 1 to 65535" in done.stderr
     for number in (signal.SIGINT, signal.SIGTERM):
-        process = subprocess.Popen([*command, "0"], stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen([BIN / "corridor", *options, "0"], stdout=subprocess.PIPE, text=True)
         assert process.stdout
         assert "http://127.0.0.1:" in process.stdout.readline()
         process.send_signal(number)
