@@ -87,7 +87,7 @@ class Connection:
         try:
             reply: bytes = self._exchange(message, timeout=timeout)
         except grpc.RpcError as error:
-            raise self._failure(error.code()) from error
+            raise self._failure(error.code(), len(message)) from error
         finally:
             self._patience = None
         return reply
@@ -101,7 +101,7 @@ class Connection:
                 self.close()
             patience = self._patience
 
-    def _failure(self, code: grpc.StatusCode) -> ConnectionFailed:
+    def _failure(self, code: grpc.StatusCode, size: int) -> ConnectionFailed:
         match code:
             case _ if self._hangs:
                 return ConnectionFailed(
@@ -114,6 +114,11 @@ class Connection:
             case grpc.StatusCode.ALREADY_EXISTS:
                 return ConnectionFailed(
                     f"The trainer at {self._address} has another player; give each player a port of its own."
+                )
+            case grpc.StatusCode.RESOURCE_EXHAUSTED:
+                return ConnectionFailed(
+                    f"The trainer at {self._address} takes no message of {size} bytes; use fewer areas, or smaller "
+                    "pictures."
                 )
             case _:
                 return ConnectionBroken(

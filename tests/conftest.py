@@ -4,11 +4,13 @@ import contextlib
 import io
 import itertools
 import os
+import re
 import shutil
 import socket
 import subprocess
 import sys
 import threading
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -95,6 +97,79 @@ def open_corridor(free_port: int, tmp_path: Path) -> Iterator[Callable[..., obje
     for environment in opened:
         if environment.is_open:
             environment.close()
+
+
+@pytest.fixture
+def register_gymnasium() -> Iterator[Callable[..., str]]:
+    """Registers a class, with which an environment is then made."""
+    import gymnasium
+
+    names: list[str] = []
+
+    def named(kind: Any, **options: Any) -> str:
+        names.append(f"Mine{len(names)}-v0")
+        gymnasium.register(names[-1], kind, **options)
+        return names[-1]
+
+    yield named
+    for name in names:
+        del gymnasium.registry[name]
+
+
+@pytest.fixture
+def play_gymnasium(register_gymnasium: Callable[..., str]) -> Iterator[Open]:
+    """Makes a simulation of a Gymnasium environment, which is closed at the end."""
+    from simulations.counting import Count
+
+    from corridor_server.simulations.gymnasium_simulation import GymnasiumEnvironment, GymnasiumSimulation
+
+    opened = []
+
+    def one(kind: Any = Count, num_areas: int = 2, seed: int = 0, **options: Any) -> Any:
+        name = kind if isinstance(kind, str) else register_gymnasium(kind)
+        opened.append(GymnasiumSimulation(GymnasiumEnvironment(name, **options), seed, num_areas))
+        return opened[-1]
+
+    yield one
+    for simulation in opened:
+        simulation.close()
+
+
+@pytest.fixture
+def play_pettingzoo(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
+    """Serves a class as a module's parallel_env or env; its arguments are those of ``arguments``."""
+    from simulations.foxes_and_hares import Together
+
+    from corridor_server.simulations.pettingzoo_simulation import PettingZooEnvironment, PettingZooSimulation
+
+    opened = []
+
+    def one(
+        kind: Any = Together,
+        num_areas: int = 1,
+        seed: int = 0,
+        function: str = "parallel_env",
+        arguments: dict[str, Any] | None = None,
+        **options: Any,
+    ) -> Any:
+        monkeypatch.setitem(sys.modules, "mine", types.SimpleNamespace(**{function: kind}))
+        opened.append(PettingZooSimulation(PettingZooEnvironment("mine", arguments or {}, **options), seed, num_areas))
+        return opened[-1]
+
+    yield one
+    for simulation in opened:
+        simulation.close()
+
+
+@pytest.fixture
+def take_turns(play_pettingzoo: Open) -> Open:
+    """Serves a class as a module's env, its agents in one behavior."""
+    from simulations.turns import Turns
+
+    def one(kind: Any = Turns, **options: Any) -> Any:
+        return play_pettingzoo(kind, function="env", behaviors=(("player", re.compile(".*")),), **options)
+
+    return one
 
 
 @pytest.fixture

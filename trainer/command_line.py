@@ -44,12 +44,12 @@ def run_command(arguments: list[str]) -> int:
         command = tyro.cli(
             Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
         )
-        if isinstance(command, Train):
+        if isinstance(command, Train | Check):
             command = dataclasses.replace(command, env_args=tuple(env_args))
         elif given:
             raise TrainerError(
-                f"{ENV_ARGS} is for corridor train, and a run keeps what it was trained with; leave it out, with all "
-                "that follows it."
+                f"{ENV_ARGS} is for corridor train and check, and a run keeps what it was trained with; leave it out, "
+                "with all that follows it."
             )
         return command.run(shlex.join(["corridor", *arguments]))
     except TrainerError as error:

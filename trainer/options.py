@@ -110,3 +110,11 @@ def _typed(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return str(value) if isinstance(value, str | Path) else shown(value)
+
+
+def env_args_of_another(env: str) -> TrainerError:
+    """What is said of arguments for a player that is not started here."""
+    return TrainerError(
+        f"--env-args is for players that are launched here, but --env {env} is started by somebody else; give these "
+        "arguments there."
+    )

@@ -59,6 +59,7 @@ def is_number(value: object) -> bool:
 
 
 def like(present: Any, value: float) -> Any:
-    """The value as the type that the present one has."""
-    whole = isinstance(present, int | np.integer) and not isinstance(present, bool)
-    return type(present)(round(value) if whole else value)
+    """The value as the type that the present one has; an integer's is whole, and what is not whole stays as it is."""
+    if isinstance(present, int | np.integer) and not isinstance(present, bool):
+        return type(present)(value) if float(value).is_integer() else value
+    return type(present)(value)

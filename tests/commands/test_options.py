@@ -122,8 +122,11 @@ def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, 
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        (["evaluate", "r", "--env-args", "--episodes", "3"], "--env-args is for corridor train, and a run keeps"),
-        (["check", "--env-args"], "--env-args is for corridor train, and a run keeps"),
+        (
+            ["evaluate", "r", "--env-args", "--episodes", "3"],
+            "--env-args is for corridor train and check, and a run keeps",
+        ),
+        (["check", "--env", "editor", "--env-args", "-x"], "--env-args is for players that are launched"),
         (
             ["train", "--run-id", "r", "--env", "editor", "--env-args", "-x"],
             "--env-args is for players that are launched",

@@ -36,6 +36,7 @@ def made(name: str) -> gymnasium.Env:
     return env
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ZOO)
 def test_two_thousand_random_steps_over_the_wire_are_those_in_process(name, free_port, tmp_path):
     options = ["--gym", name, "--camera-raw"]

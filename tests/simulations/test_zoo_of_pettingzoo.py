@@ -37,6 +37,7 @@ def compare(found, expected, space_of):
             assert np.array_equal(found[agent][2], rest[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("module", "options"), TOGETHER)
 def test_agents_that_act_together_are_those_in_process(module, options, free_port, tmp_path):
     envs = [importlib.import_module(module).parallel_env() for _ in range(AREAS)]
@@ -73,6 +74,7 @@ def test_agents_that_act_together_are_those_in_process(module, options, free_por
                     expected |= {numbers[area, agent]: (observations[agent], 0.0) for agent in env.agents}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", IN_TURNS)
 def test_agents_that_take_turns_are_those_in_process(module, free_port, tmp_path):
     env, rng = importlib.import_module(module).env(), np.random.default_rng(1)

@@ -14,6 +14,8 @@ class Check(Options):
     """builtin, a build's path, editor, or HOST:PORT to listen on. One not started here dials in for every sentence."""
     timeout_wait: Seconds = 20.0
     """Seconds to wait for each message of the player."""
+    env_args: tuple[str, ...] = ()
+    """Everything after this option is passed to the player that is started here."""
     strict: bool = False
     """Also say which of corridor-server's own promises hold, apart: Unity keeps few, and the exit code ignores them."""
 
@@ -21,4 +23,4 @@ class Check(Options):
         """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""
         from trainer.conformance.checker import check_player
 
-        return 0 if check_player(self.env, self.timeout_wait, self.strict, Terminal()) else 1
+        return 0 if check_player(self.env, self.env_args, self.timeout_wait, self.strict, Terminal()) else 1

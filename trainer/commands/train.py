@@ -21,7 +21,7 @@ from trainer.config import (
 )
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Seed
+from trainer.options import Count, Options, Seed, env_args_of_another
 from trainer.signals import INTERRUPTED
 
 
@@ -154,10 +154,7 @@ class Train(Options):
         """
         ours = self.env == "builtin"
         if self.env_args and not launched:
-            raise TrainerError(
-                f"--env-args is for players that are launched here, but --env {self.env} is started by somebody else; "
-                "give these arguments there."
-            )
+            raise env_args_of_another(self.env)
         if self.graphics and (ours or not launched):
             why = "draws nothing" if ours else "is not launched here"
             raise TrainerError(f"--graphics is for builds that are launched here, but --env {self.env} {why}.")

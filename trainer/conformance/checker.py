@@ -2,7 +2,7 @@
 
 import inspect
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +15,7 @@ from trainer.conformance.suite import Conformance, is_strict
 from trainer.conformance.verdicts import NotApplicable
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
+from trainer.options import env_args_of_another
 from trainer.players.location import launch_path, place
 from trainer.terminal import Terminal
 
@@ -90,11 +91,12 @@ def check(
     return passed
 
 
-def check_player(env: str, timeout: float, strict: bool, console: Terminal) -> bool:
+def check_player(env: str, env_args: Sequence[str], timeout: float, strict: bool, console: Terminal) -> bool:
     """Runs the kit on a player and prints a table for each part: the protocol, for a Corridor its contract, strict.
 
     Args:
         env: As ``corridor train --env`` takes it.
+        env_args: Its own arguments, if it is started here.
         timeout: Seconds to wait for each message.
         strict: Run the strict sentences too.
         console: Where to print.
@@ -108,6 +110,8 @@ def check_player(env: str, timeout: float, strict: bool, console: Terminal) -> b
     file_name, host, port = place(env, 0)
     launch = None if file_name is None else launch_path(file_name)
     if launch is None:
+        if env_args:
+            raise env_args_of_another(env)
         try:
             free_addresses(host, port)
         except (PortInUse, ValueError) as error:
@@ -117,7 +121,7 @@ def check_player(env: str, timeout: float, strict: bool, console: Terminal) -> b
     def start(trainer_port: int, *arguments: str) -> "subprocess.Popen[bytes] | None":
         if launch is None:
             return None
-        command = [launch, "-nographics", "-batchmode", "--mlagents-port", str(trainer_port), *arguments]
+        command = [launch, "-nographics", "-batchmode", "--mlagents-port", str(trainer_port), *env_args, *arguments]
         return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
     hooks = {"timeout": timeout, "port": port, "host": host}

@@ -97,7 +97,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         return None if self._process is None else int(self._process.pid)
 
     def kill(self) -> None:
-        """Closes the environment without waiting long for a player that hangs; one that announced its end may finish."""
+        """Closes the environment, and hardly waits for a player that hangs; one that announced its end may finish."""
         self._close(None if self._communicator.end_announced else FAREWELL_SECONDS)
 
     def _close(self, timeout: int | None = None) -> None:
