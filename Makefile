@@ -17,7 +17,7 @@ train: $(INSTALLED)  ## train the paper's agent; e.g. make train RUN=mine ARGS='
 	$(BIN)/corridor train --run-id $(RUN) $(ARGS)
 
 test: $(INSTALLED)  ## run every test; e.g. make test ARGS='-m "not slow"'
-	$(BIN)/pytest -n auto --dist loadfile $(ARGS)
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

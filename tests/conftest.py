@@ -1,5 +1,6 @@
 """What tests share: a free port, a corridor whose numbers are easy by hand, and the commands under test."""
 
+import collections
 import contextlib
 import io
 import itertools
@@ -52,6 +53,12 @@ MORE_PINS = ("numpy>=1.23.5,<1.24", "filelock>=3.4")
 # Below those that the system gives to outgoing connections, of which one might have the next in a row; each of the
 # processes that share the tests has its own.
 _CANDIDATES = itertools.count(10_000 + 2_000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]), 4)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with many slow tests come first: the last one that a worker begins should be short."""
+    slow = collections.Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 def corridor_here(*arguments: object) -> "subprocess.CompletedProcess[str]":
