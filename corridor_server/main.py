@@ -1,6 +1,7 @@
 """The ``corridor-server`` command: a player's process, as a trainer or a person starts it."""
 
 import argparse
+import importlib
 import logging
 import os
 import signal
@@ -83,7 +84,7 @@ def _gymnasium(options: argparse.Namespace) -> MakeSimulation:
     try:
         from corridor_server.simulations import gymnasium_simulation as served
     except ModuleNotFoundError as error:
-        raise _missing("--gym", error, "gym") from error
+        raise _missing("--gym", error, "gym") from None
     environment = served.GymnasiumEnvironment(
         options.gym,
         options.env_kwargs or {},
@@ -98,9 +99,10 @@ def _gymnasium(options: argparse.Namespace) -> MakeSimulation:
 
 def _pettingzoo(options: argparse.Namespace) -> MakeSimulation:
     try:
+        importlib.import_module("pettingzoo")
         from corridor_server.simulations import pettingzoo_simulation as served
     except ModuleNotFoundError as error:
-        raise _missing("--pettingzoo", error, "pettingzoo") from error
+        raise _missing("--pettingzoo", error, "pettingzoo") from None
     groups = options.group if options.group != [] else [served.EVERY_BEHAVIOR]
     environment = served.PettingZooEnvironment(
         options.pettingzoo,

@@ -285,8 +285,9 @@ class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """The same of a step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        number = float(np.asarray(reward, np.float64).reshape(()))  # some say [1.0]
-        return observation, number, bool(terminated), bool(truncated), _only_mask(info)
+        if type(reward) is not float:
+            reward = float(np.asarray(reward, np.float64).reshape(()))  # some say [1.0]
+        return observation, reward, terminated, truncated, _only_mask(info) if info else info
 
 
 def _only_mask(info: Mapping[str, Any]) -> dict[str, Any]:
