@@ -69,6 +69,7 @@ def _run(arguments: Sequence[str] | None, make_simulation: MakeSimulation | None
 
 def _simulation(options: argparse.Namespace) -> MakeSimulation:
     """What the options say is played, which can be made."""
+    sys.path.append("")  # an environment's module may lie where the player is started
     if options.gym is not None:
         return _gymnasium(options)
     if options.pettingzoo is not None:

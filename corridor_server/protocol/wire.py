@@ -103,6 +103,8 @@ def output(
             of a behavior's action spec.
     """
     form = form or PictureForm()
+    for behavior, agents in parts:
+        _check_sizes(behavior, agents)
     new = [behavior for behavior, _ in parts if behavior.name not in introduced]
     if not new and not any(form.compresses(each) for _, agents in parts for each in agents.observations):
         return columnar.write_output(
@@ -113,7 +115,6 @@ def output(
     message.header.status = OK
     rl_output = message.unity_output.rl_output
     for behavior, agents in parts:
-        _check_shapes(behavior, agents)
         rl_output.agentInfos[behavior.name].value.extend(_agent_infos(behavior, agents, form))
     rl_output.side_channel = side_channel
     for behavior in new:
@@ -255,12 +256,22 @@ def _bytes(message: Any) -> bytes:
     return data
 
 
-def _check_shapes(behavior: Behavior, agents: Agents) -> None:
+def _check_sizes(behavior: Behavior, agents: Agents) -> None:
+    """Refuses what a simulation can have wrong: as many rows of everything as ids, observations as the sensors say."""
+    count = len(agents)
+    for name in ("rewards", "done", "interrupted", "group_ids", "group_rewards"):
+        if len(getattr(agents, name)) != count:
+            raise WireError(f"{len(getattr(agents, name))} {name} came for {count} agents of {behavior.name}.")
+    if len(agents.observations) != len(behavior.sensors):
+        raise WireError(
+            f"{len(agents.observations)} observations came for agents of {behavior.name}, which has "
+            f"{len(behavior.sensors)} sensors."
+        )
     for sensor, values in zip(behavior.sensors, agents.observations, strict=True):
-        if values.shape[1:] != sensor.shape:
+        if values.shape != (count, *sensor.shape):
             raise WireError(
-                f"Agents of {behavior.name} observe {sensor.name} of shape {values.shape[1:]}, but its sensor has "
-                f"{sensor.shape}."
+                f"An observation {sensor.name} of shape {values.shape} came for agents of {behavior.name}, but "
+                f"{(count, *sensor.shape)} was expected."
             )
 
 

@@ -1,6 +1,8 @@
 """The codec: round trips for anything, refusal of everything else, and one whole conversation that must not change."""
 
 import base64
+import dataclasses
+import re
 import sys
 import tracemalloc
 from collections.abc import Mapping
@@ -338,3 +340,25 @@ def test_a_recorded_conversation_is_repeated_to_the_byte():
 def _infos(conversation: list[list[str]]) -> list[object]:
     messages = [UnityMessageProto.FromString(base64.b64decode(data)) for who, data in conversation if who == "player"]
     return [info for each in messages for info in each.unity_output.rl_output.agentInfos[BEHAVIOR.name].value]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rewards": np.zeros(3, np.float32)}, "3 rewards came for 2 agents of Corridor?team=0."),
+        ({"group_ids": np.zeros(1, np.int32)}, "1 group_ids came for 2 agents of"),
+        ({"observations": ()}, "0 observations came for agents of Corridor?team=0, which has 1 sensors."),
+        (
+            {"observations": (np.zeros((2, 12), np.float32),)},
+            "An observation VectorSensor_size13 of shape (2, 12) came for agents of Corridor?team=0, but (2, 13) was",
+        ),
+    ],
+)
+@pytest.mark.parametrize("introduced", [(), ("Corridor?team=0",)])
+def test_a_simulations_rows_that_dont_fit_are_one_sentence(change, says, introduced):
+    flags = np.zeros(2, np.bool_)
+    right = Agents.ungrouped(
+        np.arange(2, dtype=np.int32), np.zeros(2, np.float32), flags, flags, (np.zeros((2, 13), np.float32),)
+    )
+    with pytest.raises(wire.WireError, match=re.escape(says)):
+        wire.output([(BEHAVIOR, dataclasses.replace(right, **change))], b"", introduced)

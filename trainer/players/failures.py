@@ -67,10 +67,15 @@ class PlayerLogs:
         return self.folder / f"Player-{number}.log"
 
     def hint(self, log: Path) -> str:
-        """A further sentence: where a log is, or its last lines if it does not stay; nothing if there is none."""
+        """Further sentences: where a log is, if it stays, and its last lines if it does not, or if it ends in an error.
+
+        Nothing if there is none.
+        """
+        said = last_lines(log)
         if not self.stay:
-            return last_lines(log)
-        return f" The player's log is {log}." if log.exists() else ""
+            return said
+        where = f" The player's log is {log}." if log.exists() else ""
+        return where + (said if " ERROR " in said else "")
 
 
 def last_lines(log: Path) -> str:

@@ -72,7 +72,9 @@ def launch_path(file_name: str) -> str:
             )
         if os.path.isdir(file_name):
             raise TrainerError(f"{file_name} is a folder; give the path of the executable in it.")
-        raise TrainerError(f"There is no player {file_name}; give the path of a build's executable.")
+        found = shutil.which(file_name)
+        hint = f"give its path, {found}" if found else "give the path of a build's executable"
+        raise TrainerError(f"There is no player {file_name} here; {hint}.")
     if not os.access(path, os.X_OK):
         raise TrainerError(f"{path} may not be executed; run 'chmod +x {path}'.")
     return str(path)
