@@ -22,7 +22,7 @@ Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expe
 Positive = Annotated[float, Range(0, 10**9)]
 Share = Annotated[float, Range(0, 1)]
 Ratio = Annotated[float, Range(0, 1000)]
-Units = Annotated[int, Range(1, 2**16)]
+Units = Annotated[int, Range(1, 4096)]  # two layers of 65,536 each would take 17 GB, once per network and moment
 NAME_BYTES = 200  # file systems have 255, of which some are for what is written beside it first
 
 

@@ -15,7 +15,7 @@ from trainer.commands.evaluate import Evaluate
 from trainer.commands.replay import Replay
 from trainer.commands.shared_options import ExistingRun
 from trainer.commands.train import Train
-from trainer.config import ConnectionOptions, EngineConfig, PortOptions, RestartLimits
+from trainer.config import ConnectionOptions, CuriosityConfig, EngineConfig, PortOptions, PPOConfig, RestartLimits
 from trainer.errors import TrainerError
 from trainer.main import main
 from trainer.options import Count, Options, Port, Seconds, Seed
@@ -70,6 +70,13 @@ def test_an_option_that_must_be_whole_takes_no_fraction():
     EngineConfig(width=640)
     with pytest.raises(TrainerError, match=r"The engine setting width is 84.5, but a whole number from 1 to 16384 was"):
         EngineConfig(width=84.5)
+
+
+@pytest.mark.parametrize("config", [PPOConfig, CuriosityConfig])
+def test_layers_that_no_machine_has_room_for_are_refused(config):
+    config(hidden_size=4096)
+    with pytest.raises(TrainerError, match="hidden_size is 4097, but a whole number from 1 to 4096 was expected"):
+        config(hidden_size=4097)
 
 
 def test_the_string_below_a_field_is_its_help(capsys):
