@@ -69,11 +69,9 @@ def _run(arguments: Sequence[str] | None, make_simulation: MakeSimulation | None
 
 def _simulation(options: argparse.Namespace) -> MakeSimulation:
     """What the options say is played, which can be made."""
-    sys.path.append("")  # an environment's module may lie where the player is started
-    if options.gym is not None:
-        return _gymnasium(options)
-    if options.pettingzoo is not None:
-        return _pettingzoo(options)
+    if options.gym is not None or options.pettingzoo is not None:
+        sys.path.append("")  # an environment's module may lie where the player is started
+        return _pettingzoo(options) if options.gym is None else _gymnasium(options)
     from corridor_server.corridor.areas import Areas
     from corridor_server.corridor.corridor_config import CorridorConfig
 

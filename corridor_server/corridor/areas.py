@@ -131,8 +131,7 @@ class Areas(Simulation):
         return {BEHAVIOR: self._with_ended(agents, rows, outcome.truncated)}, statistics
 
     def _agents(self, rewards: NDArray[np.float32]) -> Agents:
-        done, interrupted = np.zeros((2, len(self)), dtype=np.bool_)
-        return Agents.ungrouped(self._ids.copy(), rewards, done, interrupted, self._observed())
+        return Agents.that_ask(self._ids.copy(), self._observed(), rewards)
 
     def _observed(self, rows: NDArray[np.intp] | None = None) -> tuple[NDArray[Any], ...]:
         """What the areas of these rows observe, or all of them."""
@@ -145,18 +144,12 @@ class Areas(Simulation):
 
     def _with_ended(self, last: Agents, rows: NDArray[np.intp], truncated: Bools) -> Agents:
         """Puts the agents of ``rows``, as their episodes ended, before all agents, where their next ones begin."""
-        front, begun = slice(0, len(rows)), len(rows) + rows
-        done = np.zeros(len(rows) + len(last), dtype=np.bool_)
-        interrupted = np.zeros_like(done)
-        done[front] = True
-        interrupted[front] = truncated[rows]
-        ids = np.concatenate([last.ids[rows], self._ids])
-        rewards = np.concatenate([last.rewards[rows], last.rewards])
-        rewards[begun] = 0.0
-        observations = tuple(np.concatenate([values[rows], values]) for values in last.observations)
-        for values, first in zip(observations, self._observed(rows), strict=True):
-            values[begun] = first
-        return Agents.ungrouped(ids, rewards, done, interrupted, observations)
+        seen = tuple(values[rows] for values in last.observations)
+        ended = Agents.that_ended(self._ids[rows], seen, last.rewards[rows], truncated[rows])
+        last.rewards[rows] = 0.0
+        for values, first in zip(last.observations, self._observed(rows), strict=True):
+            values[rows] = first
+        return ended.then(last)
 
     def _pictures(self, areas: NDArray[np.intp]) -> NDArray[np.uint8]:
         assert self._camera is not None

@@ -49,7 +49,7 @@ class Command:
 
 
 class WireError(ValueError):
-    """A message from the trainer that can't be used."""
+    """A message from the trainer that can't be used, or agents that can't be sent."""
 
 
 def hello(package_version: str) -> bytes:
@@ -101,6 +101,9 @@ def output(
         form: How pictures travel.
         hybrid_actions: Whether the trainer knows hybrid actions. One that does not reads the deprecated fields instead
             of a behavior's action spec.
+
+    Raises:
+        WireError: There are not as many of everything as agents, or an observation has not its sensor's shape.
     """
     form = form or PictureForm()
     for behavior, agents in parts:

@@ -32,7 +32,6 @@ from corridor_server.simulations.simulation import (
 )
 
 CAMERA = "CameraSensor"
-MODES = ("sync", "async")
 _CLOSING_SECONDS = 1.0  # for processes that are still at work
 
 
@@ -142,8 +141,7 @@ class GymnasiumSimulation(Simulation):
         """Begins an episode in every copy, but where one has just begun by itself."""
         if self._last is None or not self._begun_by_end.all():
             observations, masks = self._begin(~self._begun_by_end, () if self._last is None else self._last.masks)
-            nothing, nobody = np.zeros(len(self._ids), np.float32), np.zeros(len(self._ids), np.bool_)
-            self._last = Agents.ungrouped(self._ids, nothing, nobody, nobody, observations, masks)
+            self._last = Agents.that_ask(self._ids, observations, np.zeros(len(self._ids)), masks)
         self._begun_by_end[:] = False
         return {self._behavior.name: self._last}
 
@@ -157,8 +155,7 @@ class GymnasiumSimulation(Simulation):
         with np.errstate(over="ignore"):
             got = rewards.astype(np.float32)
         check_finite(got, "a reward", self._ids)
-        nobody = np.zeros(len(self._ids), np.bool_)
-        agents = Agents.ungrouped(self._ids, got, nobody, nobody, observations, masks)
+        agents = Agents.that_ask(self._ids, observations, got, masks)
         self._begun_by_end = ended
         if ended.any():
             agents = self._with_ended(agents, ended, truncated & ~terminated)
@@ -175,18 +172,9 @@ class GymnasiumSimulation(Simulation):
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
         observations, masks = self._begin(ended, last.masks)
-        rows = np.flatnonzero(ended)
-        done, cut = np.zeros((2, len(rows) + len(ended)), np.bool_)
-        done[: len(rows)] = True
-        cut[: len(rows)] = interrupted[rows]
-        return Agents.ungrouped(
-            np.concatenate([self._ids[rows], self._ids]),
-            np.concatenate([last.rewards[rows], np.where(ended, np.float32(0), last.rewards)]),
-            done,
-            cut,
-            tuple(np.concatenate([old[rows], new]) for old, new in zip(last.observations, observations, strict=True)),
-            tuple(np.concatenate([np.zeros_like(new[rows]), new]) for new in masks),
-        )
+        seen = tuple(values[ended] for values in last.observations)
+        over = Agents.that_ended(self._ids[ended], seen, last.rewards[ended], interrupted[ended])
+        return over.then(Agents.that_ask(self._ids, observations, np.where(ended, 0, last.rewards), masks))
 
     def _begin(
         self, which: NDArray[np.bool_], masks: tuple[NDArray[np.bool_], ...]
