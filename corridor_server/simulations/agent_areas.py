@@ -5,11 +5,9 @@ from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any, NamedTuple
 
-import numpy as np
 from gymnasium import spaces
 
-from corridor_server.shared.given import shown
-from corridor_server.simulations.declared_parameters import is_number, like
+from corridor_server.simulations.declared_parameters import ParameterTaker
 from corridor_server.simulations.observation_sensors import ACTION_MASK
 from corridor_server.simulations.simulation import SimulationError
 
@@ -49,15 +47,8 @@ class AgentArea(ABC):
     """
 
     def __init__(self, make: Callable[..., Any], arguments: Mapping[str, Any], attributes: tuple[str, ...]) -> None:
-        self._make, self._arguments, self._attributes = make, dict(arguments), attributes
-        self._env = make(**self._arguments)
-        self._random = np.random.default_rng(0)  # draws the seeds of environments made anew
-        for name in attributes:
-            if not is_number(getattr(self._env.unwrapped, name, None)):
-                raise SimulationError(
-                    f"--parameters names {shown(name)}, but the environment has no such number; give an attribute of "
-                    "the unwrapped environment."
-                )
+        self._env = make(**arguments)
+        self._taker = ParameterTaker("the environment", self._env, make, arguments, attributes, _spaces)
 
     @property
     def possible_agents(self) -> list[str]:
@@ -81,23 +72,7 @@ class AgentArea(ABC):
             seed: None goes on with the random numbers of the episode before.
             settings: Attributes and arguments for it, by name; with other arguments it is made anew.
         """
-        arguments = {
-            key: like(self._arguments[key], value) for key, value in settings.items() if key in self._arguments
-        }
-        if seed is not None:
-            self._random = np.random.default_rng(seed)
-        if any(self._arguments[name] != value for name, value in arguments.items()):
-            self._arguments |= arguments
-            if seed is None:
-                seed = int(self._random.integers(2**31))
-            before = self._spaces()
-            self._env.close()
-            self._env = self._make(**self._arguments)
-            if self._spaces().items() - before.items():
-                raise SimulationError(other_spaces(arguments))
-        for name in settings.keys() - arguments.keys():
-            unwrapped = self._env.unwrapped
-            setattr(unwrapped, name, like(getattr(unwrapped, name), settings[name]))
+        self._env, seed = self._taker.take_up(self._env, settings, seed)
         self._begin(seed)
         if not self.asking():
             raise SimulationError("The environment began an episode in which no agent acts.")
@@ -120,11 +95,6 @@ class AgentArea(ABC):
     def close(self) -> None:
         """Closes it."""
         self._env.close()
-
-    def _spaces(self) -> dict[str, str]:
-        return {
-            agent: f"{self.observation_space(agent)} {self.action_space(agent)}" for agent in self._env.possible_agents
-        }
 
 
 class ParallelArea(AgentArea):
@@ -198,10 +168,5 @@ def _mask(info: Mapping[str, Any] | None) -> Any:
     return None if info is None else info.get(ACTION_MASK)
 
 
-def other_spaces(arguments: Mapping[str, Any]) -> str:
-    """What is said of arguments that change what agents observe or do, which a trainer was told once."""
-    given = ", ".join(f"{name} = {value}" for name, value in arguments.items())
-    return (
-        f"With {given} the environment has other spaces than a trainer was told; give an environment parameter that "
-        "leaves them as they are."
-    )
+def _spaces(env: Any) -> dict[str, object]:
+    return {agent: (env.observation_space(agent), env.action_space(agent)) for agent in env.possible_agents}

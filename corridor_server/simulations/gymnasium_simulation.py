@@ -19,8 +19,7 @@ from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
 from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
-from corridor_server.simulations.agent_areas import other_spaces
-from corridor_server.simulations.declared_parameters import DeclaredParameters, is_number, like
+from corridor_server.simulations.declared_parameters import DeclaredParameters, ParameterTaker
 from corridor_server.simulations.observation_sensors import ACTION_MASK, WHOLE, ObservationSensors, check_finite
 from corridor_server.simulations.simulation import (
     Moment,
@@ -231,35 +230,18 @@ class _Settable(gymnasium.Wrapper[Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self.settings_from_trainer: Mapping[str, float] | None = None
-        self._random = np.random.default_rng(0)  # draws the seeds of environments made anew
-        self._made_of, self._arguments, self._attributes = spec, dict(arguments), attributes
-        for attribute in attributes:
-            if not is_number(getattr(env.unwrapped, attribute, None)):
-                raise SimulationError(
-                    f"--parameters names {shown(attribute)}, but {spec.id} has no such number; give an attribute of "
-                    "the unwrapped environment."
-                )
+        make = partial(gymnasium.make, spec, disable_env_checker=True)
+        self._taker = ParameterTaker(spec.id, env, make, arguments, attributes, _spaces)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Takes up the settings first."""
         settings, self.settings_from_trainer = self.settings_from_trainer or {}, None
-        if seed is not None:
-            self._random = np.random.default_rng(seed)
-        arguments = {name: value for name, value in settings.items() if name not in self._attributes}
-        changed = {name: like(self._arguments[name], value) for name, value in arguments.items()}
-        if changed and {**self._arguments, **changed} != self._arguments:
-            self._arguments |= changed
-            if seed is None:
-                seed = int(self._random.integers(2**31))
-            before = self.env.observation_space, self.env.action_space
-            self.env.close()
-            self.env = gymnasium.make(self._made_of, disable_env_checker=True, **self._arguments)
-            if (self.env.observation_space, self.env.action_space) != before:
-                raise SimulationError(other_spaces(changed))
-        for name in settings.keys() - arguments.keys():
-            unwrapped = self.env.unwrapped
-            setattr(unwrapped, name, like(getattr(unwrapped, name), settings[name]))
+        self.env, seed = self._taker.take_up(self.env, settings, seed)
         return self.env.reset(seed=seed, options=options)
+
+
+def _spaces(env: gymnasium.Env[Any, Any]) -> dict[str, object]:
+    return {"observation": env.observation_space, "action": env.action_space}
 
 
 class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -1,10 +1,13 @@
 """Gymnasium environments of others over the wire are the same ones in process, to the bit."""
 
 import importlib
+import re
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+from simulations.test_zoo_of_pettingzoo import IN_TURNS, TOGETHER
 from simulations.zoo import SEED, as_action, as_numbers, asking_and_ended, random_actions, served
 
 AREAS, STEPS = 2, 1000  # 2,000 steps of the environment
@@ -23,6 +26,12 @@ ZOO = [
     "gym_platform:Platform-v0",
 ]
 ONLY_THE_PICTURE = "minigrid.wrappers:ImgObsWrapper"
+
+
+def test_the_zoos_page_lists_what_is_tested():
+    page = (Path(__file__).parents[2] / "docs" / "zoo.md").read_text()
+    listed = re.findall(r"^\| `--(?:gym|pettingzoo) ([^ `]+)", page, re.MULTILINE)
+    assert sorted(listed) == sorted([*ZOO, *(module for module, _ in TOGETHER), *IN_TURNS])
 
 
 def made(name: str) -> gymnasium.Env:
