@@ -5,8 +5,10 @@ from typing import Any
 from mlagents_envs.base_env import ActionSpec, BehaviorSpec, DimensionProperty, ObservationSpec, ObservationType
 from mlagents_envs.environment import UnityEnvironment
 
+from corridor_server.protocol.agents import Behavior
 from trainer.corridor import check_contract, is_corridor
 from trainer.errors import TrainerError
+from trainer.players.steps import sensors_of
 
 
 def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
@@ -29,6 +31,12 @@ def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
     if is_corridor(name):
         check_contract(spec)
     return name, spec
+
+
+def described(name: str, spec: BehaviorSpec) -> Behavior:
+    """A behavior in our own form."""
+    action = spec.action_spec
+    return Behavior(name, sensors_of(spec), int(action.continuous_size), tuple(map(int, action.discrete_branches)))
 
 
 def behavior_record(name: str, spec: BehaviorSpec) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
 from trainer.players.behavior import only_behavior
+from trainer.players.connected import Connected
 from trainer.players.environment import Environment
 from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
 from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
 from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
+from trainer.players.scene import Scene
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.statistics_channel import Statistics
@@ -119,8 +121,8 @@ def open_players(
     limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
     lives: Sequence[int] | None = None,
     states: Sequence[bytes] | None = None,
-) -> Iterator[Players]:
-    """Opens the run's players as a VecEnv, and closes them whatever happens.
+) -> Iterator[Players | Scene]:
+    """Opens the run's players, and closes them whatever happens.
 
     Args:
         config: The run.
@@ -131,14 +133,17 @@ def open_players(
         lives: How often each was started before, in earlier parts of a resumed run.
         states: Of each, the areas' state to go on with.
 
+    Yields:
+        The players as a ``VecEnv`` where the run trains in lockstep (one behavior, a corridor or with a preset), else as a scene.
+
     Raises:
         TrainerError: A player can't be started, or does not fit.
     """
     lives = [0] * config.num_envs if lives is None else lives
 
-    def start(number: int, life: int) -> OpenPlayer:
+    def connect(number: int, life: int) -> Connected:
         state = PlayerState(states[number] if states is not None and life == lives[number] else None)
-        return _open(config, logs, connection, number, player_seed(seed, number, life), state)
+        return _connect(config, logs, connection, number, player_seed(seed, number, life), state)
 
     _, host, first = place(config.env, connection.base_port, connection.listen)
     if connection.base_port != BASE_PORT and first == place(config.env, BASE_PORT)[2]:
@@ -147,7 +152,7 @@ def open_players(
         raise TrainerError(f"--listen {connection.listen} has no effect on {config.env}, which says where to listen.")
     if first + config.num_envs - 1 > 65535:
         raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
-    players = Players(start, lives, limits, logs, can_be_launched(config.env))
+    players = _open_players(config, logs, connect, lives, limits)
     try:
         with player_errors(logs, 0):
             yield players
@@ -158,9 +163,59 @@ def open_players(
             players.close()
 
 
-def _open(
+def _open_players(
+    config: RunConfig,
+    logs: PlayerLogs,
+    connect: Callable[[int, int], Connected],
+    lives: Sequence[int],
+    limits: RestartLimits,
+) -> Players | Scene:
+    launched = can_be_launched(config.env)
+
+    def as_slots(number: int, life: int) -> OpenPlayer:
+        return _as_slots(config, logs, number, connect(number, life))
+
+    if _is_lockstep(config):
+        return Players(as_slots, lives, limits, logs, launched)
+    opened: list[Connected] = []
+
+    def begin(number: int, life: int) -> Connected:
+        if number == 0 and opened:
+            return opened.pop()
+        player = connect(number, life)
+        try:
+            with player_errors(logs, number):
+                player.environment.reset()  # behaviors are only known once the player has sent agents
+        except BaseException:
+            player.environment.kill()
+            raise
+        return player
+
+    opened.append(begin(0, lives[0]))  # the first shows what there is to train
+    if (
+        config.default_settings is None
+        and not config.behaviors
+        and all(map(is_corridor, opened[0].environment.behavior_specs))
+    ):
+        return Players(
+            lambda number, life: _as_slots(config, logs, number, begin(number, life)), lives, limits, logs, launched
+        )
+    return Scene(begin, lives, limits, logs, launched)
+
+
+def _is_lockstep(config: RunConfig) -> bool:
+    """Whether a run trains as the paper, whatever its players show: one behavior, whose agents all decide together.
+
+    A preset and an algorithm are for that; settings for behaviors are for everything else.
+    """
+    if config.behaviors or config.default_settings is not None:
+        return False
+    return config.env == BUILTIN or config.preset_given or config.algo != "ppo" or config.from_sb3 is not None
+
+
+def _connect(
     config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
-) -> OpenPlayer:
+) -> Connected:
     statistics, (engine, parameters) = Statistics(), channels(config, seed)
     environment = open_environment(
         config.env,
@@ -175,18 +230,23 @@ def _open(
         listen=connection.listen,
         graphics=config.graphics,
     )
+    return Connected(environment, statistics, parameters, state, seed)
+
+
+def _as_slots(config: RunConfig, logs: PlayerLogs, number: int, player: Connected) -> OpenPlayer:
+    environment = player.environment
     try:
         with player_errors(logs, number):
             if config.env != BUILTIN and is_corridor(only_behavior(environment)[0]):
-                tell_corridor(config, parameters)
+                tell_corridor(config, player.parameters)
                 if not config.through_gym:  # UnityToGymWrapper begins with a reset
                     environment.reset()
             slots = (
-                _one_area(config, environment, statistics)
+                _one_area(config, environment, player.statistics)
                 if config.through_gym
-                else UnityVecEnv(environment, statistics)
+                else UnityVecEnv(environment, player.statistics)
             )
-            return OpenPlayer(environment, slots, state, *only_behavior(environment))
+            return OpenPlayer(environment, slots, player.state, *only_behavior(environment))
     except BaseException:
         environment.kill()
         raise

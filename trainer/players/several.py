@@ -6,7 +6,6 @@ episodes of its first life once more.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
+from trainer.players.connected import open_all
 from trainer.players.environment import Environment
 from trainer.players.failures import FAILURES, BadNumbers, PlayerLogs, explain
 from trainer.players.restarts import Restarts
@@ -76,7 +76,7 @@ class Players(Slots):
         self._launched = launched
         self._restarts = [Restarts(number, limits, logs, launched) for number in range(len(lives))]
         self._former_exchange_seconds = 0.0  # of players that died
-        self._players = _open_all(start, lives)
+        self._players = open_all(start, lives)
         first = self._players[0]
         self.behavior, self.behavior_spec, self.areas = first.behavior, first.spec, first.slots.num_envs
         try:
@@ -202,18 +202,3 @@ class Players(Slots):
                 f"{shapes[0]}, but the first had {self.areas} of {self.behavior} with {shapes[1]}; all players have "
                 "to be the same build."
             )
-
-
-def _open_all(start: Callable[[int, int], OpenPlayer], lives: Sequence[int]) -> list[OpenPlayer]:
-    """Opens players side by side: a build may take long to start."""
-    if len(lives) == 1:
-        return [start(0, lives[0])]
-    with ThreadPoolExecutor(len(lives)) as pool:
-        futures = [pool.submit(start, number, life) for number, life in enumerate(lives)]
-    failed = [error for future in futures if (error := future.exception()) is not None]
-    players = [future.result() for future in futures if future.exception() is None]
-    if failed:
-        for player in players:
-            player.environment.kill()
-        raise failed[0]
-    return players

@@ -25,7 +25,9 @@ def rows_of(specs: Mapping[str, BehaviorSpec]) -> dict[str, AgentRows] | None:
     """How each behavior's agents look in a message; None if one has observations other than vectors and buffers."""
     if not all(_is_plain(spec) for spec in specs.values()):
         return None
-    return {name: AgentRows(_sensors(spec), tuple(spec.action_spec.discrete_branches)) for name, spec in specs.items()}
+    return {
+        name: AgentRows(sensors_of(spec), tuple(spec.action_spec.discrete_branches)) for name, spec in specs.items()
+    }
 
 
 def _is_plain(spec: BehaviorSpec) -> bool:
@@ -33,7 +35,8 @@ def _is_plain(spec: BehaviorSpec) -> bool:
     return bool(shapes) and all(0 < len(shape) < 3 and math.prod(shape) for shape in shapes)
 
 
-def _sensors(spec: BehaviorSpec) -> tuple[Sensor, ...]:
+def sensors_of(spec: BehaviorSpec) -> tuple[Sensor, ...]:
+    """What a behavior's agents observe."""
     sensors = []
     for each in spec.observation_specs:
         properties = tuple(int(value) for value in each.dimension_property)

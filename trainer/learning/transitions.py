@@ -1,0 +1,143 @@
+"""What agents saw, did and got, as a learner takes it, and advantages along their trajectories."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Singles = NDArray[np.float32]
+Indices = NDArray[np.intp]
+_FIRST_CAPACITY = 1024
+
+
+class Observed(NamedTuple):
+    """What agents observe, a row each, as a policy takes it.
+
+    Attributes:
+        observations: One per sensor, (n, *shape) float32.
+        allowed: Choices of all branches that may be taken, (n, choices) bool; None where all may.
+    """
+
+    observations: tuple[Singles, ...]
+    allowed: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.observations[0])
+
+
+class Decided(NamedTuple):
+    """What a policy chose, a row each.
+
+    Attributes:
+        continuous: (n, size) float32, before clipping.
+        discrete: (n, branches) int64.
+        log_probs: (n,) float32.
+        values: Of each value head, (n, heads) float32.
+    """
+
+    continuous: Singles
+    discrete: NDArray[np.int64]
+    log_probs: Singles
+    values: Singles
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Closed transitions, in the order in which they began.
+
+    Attributes:
+        observed: What the agents saw, n rows.
+        decided: What they did.
+        next_observations: What they saw then; at an episode's end its own last observations.
+        rewards: Of the environment, an agent's own and its group's, (n,) float32.
+        next_values: Value of what followed, for each head, (n, heads) float32; 0 after a terminated episode.
+        previous: The transition before in the same trajectory, (n,); -1 where one begins.
+        episodes: A number for each agent's episode, (n,).
+    """
+
+    observed: Observed
+    decided: Decided
+    next_observations: tuple[Singles, ...]
+    rewards: Singles
+    next_values: Singles
+    previous: Indices
+    episodes: Indices
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+
+class Episode(NamedTuple):
+    """An episode that ended.
+
+    Attributes:
+        number: As in ``Transitions.episodes``.
+        total: Its rewards' sum.
+        length: Its transitions.
+    """
+
+    number: int
+    total: float
+    length: int
+
+
+def advantages(transitions: Transitions, rewards: Singles, head: int, gamma: float, lambd: float) -> Singles:
+    """Generalised advantage estimation along every trajectory, (n,) float32.
+
+    Args:
+        transitions: Of any trajectories.
+        rewards: That this head is about, (n,).
+        head: Of the values.
+        gamma: Discount factor.
+        lambd: Lambda.
+    """
+    deltas = rewards + gamma * transitions.next_values[:, head] - transitions.decided.values[:, head]
+    estimates, factor = deltas.astype(np.float64).tolist(), gamma * lambd
+    for index, previous in zip(range(len(estimates) - 1, -1, -1), reversed(transitions.previous.tolist()), strict=True):
+        if previous >= 0:
+            estimates[previous] += factor * estimates[index]
+    return np.array(estimates, np.float32)
+
+
+class Rows:
+    """An array that grows by rows.
+
+    Args:
+        shape: Of a row.
+        dtype: Of its numbers.
+    """
+
+    def __init__(self, shape: Sequence[int], dtype: Any = np.float32) -> None:
+        self.shape = tuple(shape)
+        self.values = np.empty((_FIRST_CAPACITY if np.prod(shape, dtype=int) < 1000 else 16, *shape), dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def used(self) -> NDArray[Any]:
+        """What was appended; a view."""
+        return self.values[: self._count]
+
+    def append(self, rows: NDArray[Any]) -> None:
+        """Adds these."""
+        end = self._count + len(rows)
+        if end > len(self.values):
+            grown = np.empty((max(end, 2 * len(self.values)), *self.shape), self.values.dtype)
+            grown[: self._count] = self.used
+            self.values = grown
+        self.values[self._count : end] = rows
+        self._count = end
+
+    def fill(self, rows: NDArray[Any]) -> None:
+        """Begins with these."""
+        self._count = 0
+        self.append(rows)
+
+    def keep(self, rows: Indices) -> None:
+        """Leaves these rows, in this order."""
+        self.values[: len(rows)] = self.values[rows]
+        self._count = len(rows)
