@@ -197,9 +197,14 @@ def set_clock(model: BaseAlgorithm, seconds: float) -> None:
 
 
 def policy_sha256(model: BaseAlgorithm) -> str:
-    """SHA-256 over the policy's parameters: for each, in the order of their names, name and little-endian bytes."""
+    """SHA-256 over a policy's parameters."""
+    return weights_sha256(Policy(model).state_dict())
+
+
+def weights_sha256(weights: Mapping[str, Array]) -> str:
+    """SHA-256 over parameters: for each, in the order of their names, name and little-endian bytes."""
     digest = hashlib.sha256()
-    for name, array in sorted(Policy(model).state_dict().items()):
+    for name, array in sorted(weights.items()):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
     return digest.hexdigest()

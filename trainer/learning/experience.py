@@ -5,7 +5,7 @@ request or by its episode's end, whenever that comes. Transitions of one agent's
 episode's end closes, and which the time horizon and an update cut: the value function estimates what would follow.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -162,11 +162,11 @@ class Experience:
         self._slots["open"][asking.slots] = begun
         self._slots["awaiting"][asking.slots] = _NONE
 
-    def take(self, asking: "Asking | None" = None) -> tuple[Transitions, "Asking | None"]:
+    def take(self, asking: Sequence["Asking"] = ()) -> tuple[Transitions, list["Asking"]]:
         """Takes the closed transitions out; every running trajectory is cut here.
 
         Args:
-            asking: Of agents that wait for their action: their rows may move.
+            asking: Of agents that wait for their action: their rows move.
 
         Returns:
             The transitions, and ``asking`` with its rows where they are now.
@@ -268,16 +268,13 @@ class Experience:
             self._allowed.append(np.ones((count, *self._allowed.shape), np.bool_) if allowed is None else allowed)
         return np.arange(first, first + count)
 
-    def _keep_open(self, asking: "Asking | None") -> "Asking | None":
+    def _keep_open(self, asking: Sequence["Asking"]) -> list["Asking"]:
         """Moves open transitions, and what is still to be acted on, to the beginning; forgets the rest."""
-        columns = self._columns
+        columns, slots = self._columns, self._slots
         running = np.array(list(self._agents.values()), np.intp)
-        waiting = running[self._slots["open"][running] >= 0]
-        kept = self._slots["open"][waiting]
-        wanted = [columns["seen"].used[kept]]
-        if asking is not None:
-            wanted.append(asking.rows)
-        rows = np.concatenate(wanted)
+        waiting = running[slots["open"][running] >= 0]
+        kept = slots["open"][waiting]
+        rows = np.concatenate([columns["seen"].used[kept], *(each.rows for each in asking)])
         for each in (*self._observations, self._allowed):
             if len(each):
                 each.keep(rows)
@@ -285,13 +282,15 @@ class Experience:
             column.keep(kept)
         columns["seen"].used[:] = np.arange(len(kept))
         columns["previous"].used[:] = _NONE
-        self._slots["open"][waiting] = np.arange(len(kept))
-        self._slots["last"][:] = self._slots["awaiting"][:] = _NONE
-        self._slots["age"][:] = 0
+        slots["open"][waiting] = np.arange(len(kept))
+        slots["last"][:] = slots["awaiting"][:] = _NONE
+        slots["age"][:] = 0
         self.closed = 0
-        if asking is None:
-            return None
-        return Asking(asking.slots, np.arange(len(kept), len(rows)), np.full_like(asking.transitions, _NONE))
+        moved, start = [], len(kept)
+        for asking_slots, former, _ in asking:
+            moved.append(Asking(asking_slots, np.arange(start, start + len(former)), np.full_like(former, _NONE)))
+            start += len(former)
+        return moved
 
 
 class Asking(NamedTuple):

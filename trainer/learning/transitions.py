@@ -27,6 +27,18 @@ class Observed(NamedTuple):
         return len(self.observations[0])
 
 
+def joined(parts: Sequence[Observed]) -> Observed:
+    """What several groups of agents observe, one after another; where only some have masks, the others may do all."""
+    if len(parts) == 1:
+        return parts[0]
+    observations = tuple(np.concatenate(each) for each in zip(*(part.observations for part in parts), strict=True))
+    choices = [part.allowed.shape[1] for part in parts if part.allowed is not None]
+    if not choices:
+        return Observed(observations)
+    masks = [np.ones((len(part), choices[0]), np.bool_) if part.allowed is None else part.allowed for part in parts]
+    return Observed(observations, np.concatenate(masks))
+
+
 class Decided(NamedTuple):
     """What a policy chose, a row each.
 
@@ -41,6 +53,10 @@ class Decided(NamedTuple):
     discrete: NDArray[np.int64]
     log_probs: Singles
     values: Singles
+
+    def rows(self, part: slice) -> "Decided":
+        """Some of them."""
+        return Decided(self.continuous[part], self.discrete[part], self.log_probs[part], self.values[part])
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,11 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         if restored is not None:
             self._send(restored)
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the player has answered once."""
+        return self._known
+
     def ask(self) -> None:
         """Asks for the state after the next step, unless the player has shown that it does not know the channel."""
         if self._asked and not self._known:

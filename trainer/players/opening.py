@@ -134,7 +134,7 @@ def open_players(
         states: Of each, the areas' state to go on with.
 
     Yields:
-        The players as a ``VecEnv`` where the run trains in lockstep (one behavior, a corridor or with a preset), else as a scene.
+        The players as a ``VecEnv`` where the run is in lockstep (a corridor, or with a preset), else as a scene.
 
     Raises:
         TrainerError: A player can't be started, or does not fit.
@@ -161,6 +161,29 @@ def open_players(
     finally:
         with deferred():
             players.close()
+
+
+@contextmanager
+def open_slots(
+    config: RunConfig,
+    logs: PlayerLogs,
+    connection: ConnectionOptions,
+    *,
+    seed: int,
+    limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
+) -> Iterator[Players]:
+    """``open_players`` for what only runs in lockstep have.
+
+    Raises:
+        TrainerError: It is another run; or as ``open_players``.
+    """
+    with open_players(config, logs, connection, seed=seed, limits=limits) as players:
+        if not isinstance(players, Players):
+            raise TrainerError(
+                f"The run {config.run_id} is of behaviors {', '.join(players.behaviors) or 'that come late'}, but one "
+                "of the corridor, or with a preset, was expected; corridor evaluate plays every run."
+            )
+        yield players
 
 
 def _open_players(

@@ -13,6 +13,7 @@ from trainer.players.behavior import described
 from trainer.players.connected import Connected, open_all
 from trainer.players.failures import FAILURES, BadNumbers, PlayerLogs, explain
 from trainer.players.restarts import Restarts
+from trainer.players.settings import set_parameters
 
 Actions = Mapping[str, ActionBatch]
 
@@ -62,6 +63,7 @@ class Scene:
         self._restarts = [Restarts(number, limits, logs, launched) for number in range(len(lives))]
         self._former_exchange_seconds = 0.0  # of players that died
         self._fresh = [True] * len(lives)  # whose first reset was made by whoever opened it
+        self._parameters: Mapping[str, Any] = {}
         self.behaviors: dict[str, Behavior] = {}
         self._known: dict[tuple[int, str], BehaviorSpec] = {}  # by player, those that were looked at
         self._players = open_all(start, lives)
@@ -93,16 +95,27 @@ class Scene:
             for name, batch in chosen.items():
                 if len(batch.continuous):
                     player.environment.set_actions(name, ActionTuple(batch.continuous, batch.discrete))
+            player.state.state = None  # what it answers is of its next message
             player.environment.send()
 
     def receive(self) -> list[Message]:
         """Waits for what every player says next."""
         return [self._receive(number) for number in range(len(self._players))]
 
-    def set_parameters(self, tell: Callable[[Connected], None]) -> None:
-        """Tells every player something over its side channels, with the next message."""
+    @property
+    def says_its_state(self) -> bool:
+        """Whether every player has shown that it can write down what its areas are doing."""
+        return all(player.state.is_known for player in self._players)
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Has every player, and those that take a dead one's place, set environment parameters.
+
+        Args:
+            values: Numbers or samplers by name, as ``mlagents-learn``'s YAML has them.
+        """
+        self._parameters = values
         for player in self._players:
-            tell(player)
+            set_parameters(player.parameters, values, player.seed)
 
     def statistics(self) -> dict[str, list[float]]:
         """What the players have reported since this was last asked, by name."""
@@ -197,7 +210,8 @@ class Scene:
         def start() -> Connected:
             return self._start(number, self._earlier_lives[number] + restarts.count)
 
-        self._players[number] = restarts.start_again(failure, start)
+        self._players[number] = player = restarts.start_again(failure, start)
+        set_parameters(player.parameters, self._parameters, player.seed)
         self._fresh[number] = True
 
 

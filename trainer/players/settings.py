@@ -1,5 +1,6 @@
 """What a run tells its players over side channels: Unity's engine settings, and environment parameters."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -34,6 +35,18 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
         if ours or name not in config.preset_parameters:
             _set(parameters, name, value, sampler_seed(seed, index))
     return [engine, parameters]
+
+
+def set_parameters(parameters: EnvironmentParametersChannel, values: Mapping[str, Any], seed: int) -> None:
+    """Has the next message set environment parameters.
+
+    Args:
+        parameters: The channel to a player.
+        values: Numbers or samplers by name, as the YAML file has them.
+        seed: The player's, from which its samplers' follow.
+    """
+    for index, (name, value) in enumerate(values.items()):
+        _set(parameters, name, value, sampler_seed(seed, index))
 
 
 def tell_corridor(config: RunConfig, parameters: EnvironmentParametersChannel) -> None:

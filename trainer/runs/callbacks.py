@@ -169,13 +169,14 @@ class ShowProgress(BaseCallback):
 
     Args:
         display: Where.
+        line: In which line.
         episodes: The last episodes.
         stages: Curiosity has metrics of its own.
     """
 
-    def __init__(self, display: ProgressDisplay, episodes: CountEpisodes, stages: Stages) -> None:
+    def __init__(self, display: ProgressDisplay, line: str, episodes: CountEpisodes, stages: Stages) -> None:
         super().__init__()
-        self._display = display
+        self._display, self._line = display, line
         self._episodes = episodes
         self._curiosity = stages.curiosity
 
@@ -186,6 +187,7 @@ class ShowProgress(BaseCallback):
         means = self._episodes.means()
         intrinsic = None if self._curiosity is None else self._curiosity.metrics.get("reward")
         self._display.update(
+            self._line,
             Snapshot(
                 self.num_timesteps,
                 means.get("return"),
@@ -193,7 +195,7 @@ class ShowProgress(BaseCallback):
                 means.get("length"),
                 intrinsic,
                 *self._episodes.unknown(),
-            )
+            ),
         )
 
 

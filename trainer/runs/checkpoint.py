@@ -156,8 +156,8 @@ class CheckpointWriter:
                 each.unlink(missing_ok=True)
         self._rolling = path
 
-    def keep(self) -> None:
-        """Makes the newest checkpoint one of those that are kept, and waits until the disk has it."""
+    def keep(self, count: int = KEPT) -> None:
+        """Makes the newest checkpoint one of those that are kept, ``count`` of them, and waits until the disk has it."""
         if self._rolling is None:
             return
         with self._rolling.open("rb") as file:
@@ -169,7 +169,7 @@ class CheckpointWriter:
             os.fsync(folder)
         finally:
             os.close(folder)
-        for old in sorted(self._folder.glob(f"step-*{SUFFIX}"))[:-KEPT]:
+        for old in sorted(self._folder.glob(f"step-*{SUFFIX}"))[:-count]:
             old.unlink()
 
 
@@ -219,6 +219,22 @@ def read_checkpoint(folder: Path, name: str | None = None) -> Checkpoint:
         except DamagedCheckpoint as damage:
             raise TrainerError(f"The checkpoint {path} is damaged: {damage}. {_offer(folder, path)}") from damage
     raise TrainerError(f"The checkpoints in {folder} change too fast to be read; stop the run first.")
+
+
+def read_checkpoint_file(path: Path) -> Checkpoint:
+    """Reads one checkpoint.
+
+    Raises:
+        TrainerError: It can't be read, is damaged, or of a later version.
+    """
+    try:
+        return _read(path)
+    except FileNotFoundError as error:
+        raise TrainerError(
+            f"There is no checkpoint {path}; give a run's folder, or a file in its checkpoints."
+        ) from error
+    except DamagedCheckpoint as damage:
+        raise TrainerError(f"The checkpoint {path} is damaged: {damage}; give another one.") from damage
 
 
 def _read(path: Path) -> Checkpoint:

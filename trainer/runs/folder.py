@@ -4,7 +4,8 @@ import csv
 import json
 import os
 import platform
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -95,6 +96,18 @@ class RunFolder:
                 return cls(path)
         raise TrainerError(f"No run {shown(run)} in {results_dir}; give a run id there, or the path of a run's folder.")
 
+    @property
+    def shown(self) -> Path:
+        """The path as a person reads it: from the working folder on, where it is below it."""
+        try:
+            return self.path.relative_to(Path.cwd())
+        except (ValueError, OSError):  # it is elsewhere, or there is no working folder any more
+            return self.path
+
+    def behavior(self, name: str, only: bool) -> "RunFolder":
+        """Where a behavior's own results go: the run's folder if it is the only one, else one of its name in it."""
+        return self if only else RunFolder(self.path / re.sub(r"[^\w.+-]", "_", name))
+
     def read_config(self) -> RunConfig:
         """The run's settings.
 
@@ -126,6 +139,16 @@ class RunFolder:
         run = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
         players = {"behavior": behavior, "agents_per_player": agents}
         write_whole(self.configuration, yaml.safe_dump({**run, **players}, sort_keys=False))
+
+    def record_scene(self, config: RunConfig, behaviors: Mapping[str, Any]) -> None:
+        """Writes ``configuration.yaml`` of a run of any behaviors.
+
+        Args:
+            config: The run's settings.
+            behaviors: What each observes and does, as plain values.
+        """
+        run = {"run": config.as_dict(), "versions": versions(), "machine": machine(), "specs": dict(behaviors)}
+        write_whole(self.configuration, yaml.safe_dump(run, sort_keys=False))
 
     def read_checkpoint(self, config: RunConfig, name: str | None = None) -> Checkpoint:
         """Reads a checkpoint of the run; the newest without a name.

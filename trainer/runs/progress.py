@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from types import TracebackType
 
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from trainer.terminal import Terminal
@@ -42,18 +42,10 @@ class _SpeedColumn(ProgressColumn):
 
 
 class ProgressDisplay:
-    """Shows snapshots of a run.
+    """Shows snapshots of what is trained, a line each."""
 
-    Args:
-        run_id: The run's name.
-        total: Its agent steps.
-        done_before: Steps that a resumed run already has.
-    """
-
-    def __init__(self, run_id: str, total: int, done_before: int) -> None:
+    def __init__(self) -> None:
         self._console = Terminal()
-        self._total = total
-        self._next_line = done_before
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
@@ -65,7 +57,7 @@ class ProgressDisplay:
             speed_estimate_period=10.0,
             disable=not self._console.is_terminal,
         )
-        self._task = self._bar.add_task(run_id, total=total, completed=done_before, text="")
+        self._lines: dict[str, _Line] = {}
 
     def __enter__(self) -> "ProgressDisplay":
         self._bar.start()
@@ -76,12 +68,32 @@ class ProgressDisplay:
     ) -> None:
         self._bar.stop()
 
-    def update(self, snapshot: Snapshot) -> None:
-        """Shows a newer snapshot."""
-        self._bar.update(self._task, completed=min(snapshot.steps, self._total), text=snapshot.text())
-        if not self._console.is_terminal and snapshot.steps >= self._next_line:
-            self._next_line += max(self._total // LINES, 1)
-            self._console.print(f"{snapshot.steps:>9,} steps  {snapshot.text()}")
+    def add(self, name: str, total: int, done_before: int) -> None:
+        """Begins a line.
+
+        Args:
+            name: What it is about.
+            total: Agent steps in all.
+            done_before: Steps that a resumed run already has.
+        """
+        task = self._bar.add_task(name, total=total, completed=done_before, text="")
+        self._lines[name] = _Line(task, total, done_before)
+
+    def update(self, name: str, snapshot: Snapshot) -> None:
+        """Shows a newer snapshot of a line."""
+        line = self._lines[name]
+        self._bar.update(line.task, completed=min(snapshot.steps, line.total), text=snapshot.text())
+        if not self._console.is_terminal and snapshot.steps >= line.next_printed:
+            line.next_printed += max(line.total // LINES, 1)
+            whose = f"  {name}" if len(self._lines) > 1 else ""
+            self._console.print(f"{snapshot.steps:>9,} steps{whose}  {snapshot.text()}")
+
+
+@dataclass
+class _Line:
+    task: TaskID
+    total: int
+    next_printed: int
 
 
 def _number(value: float | None, layout: str) -> str:

@@ -18,14 +18,17 @@ from trainer.learning.stages import Stages, build_stages
 from trainer.players.behavior import behavior_record
 from trainer.players.failures import PlayerLogs
 from trainer.players.location import can_be_launched
-from trainer.players.opening import open_players
+from trainer.players.opening import open_players, open_slots
+from trainer.players.scene import Scene
 from trainer.players.several import Players
+from trainer.runs.behavior_learners import plain_behavior
 from trainer.runs.checkpoint import checkpoints
 from trainer.runs.counters import Counters
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
 from trainer.runs.run_state import Resumed, resumed_from
+from trainer.runs.scene_run import LearnedScene, evaluate_scene_run, is_of_scene, learn_scene, report_scene
 from trainer.runs.training import load_trained, train
 from trainer.runs.trajectories import Trajectories, save_trajectories
 from trainer.seeds import evaluation_seed
@@ -90,6 +93,9 @@ def train_run(
     """
     with _written_to(folder):
         learned = _learn(config, folder, draft, connection, episodes, resumed, limits)
+        if isinstance(learned, LearnedScene):
+            report_scene(config, folder, connection, episodes, limits, learned)
+            return learned.finished
         evaluation = _evaluate(config, folder, connection, episodes, limits, learned)
         _report(config, folder, learned, evaluation)
     return learned.finished
@@ -103,7 +109,7 @@ def _learn(
     episodes: int,
     resumed: bool,
     limits: RestartLimits,
-) -> _Learned:
+) -> _Learned | LearnedScene:
     # A run that was killed before its first update begins again.
     checkpoint = folder.read_checkpoint(config) if resumed and checkpoints(folder.checkpoints) else None
     so_far = Resumed() if checkpoint is None else resumed_from(checkpoint, config.num_envs)
@@ -118,6 +124,14 @@ def _learn(
         lives=so_far.lives,
         states=so_far.states,
     ) as players:
+        if isinstance(players, Scene):
+
+            def begin_scene() -> None:
+                drafted.record_scene(config, {name: plain_behavior(each) for name, each in players.behaviors.items()})
+                draft.publish()
+                logs.folder, logs.stay = folder.logs, True
+
+            return learn_scene(config, folder, players, counters, begin_scene, checkpoint, episodes)
         if checkpoint is None and config.penalty != DEFAULT_PENALTY and not is_corridor(players.behavior):
             raise TrainerError(
                 f"--penalty {config.penalty:g} is for a corridor, but behavior {players.behavior} has rewards of its "
@@ -207,6 +221,10 @@ def evaluate_run(
     Raises:
         TrainerError: There is no such checkpoint, it does not fit, or the player failed.
     """
+    read = folder.read_checkpoint(config, checkpoint)  # before a player is started, or waited for
+    if is_of_scene(read):
+        evaluate_scene_run(config, folder, draft, connection, episodes, read)
+        return
     evaluation = play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)
     with written(folder.path):
         _save_evaluation(config, RunFolder(draft.path), evaluation)
@@ -269,7 +287,7 @@ def _say_who_came(asked: int, came: int) -> None:
 def _evaluation_players(
     config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, limits: RestartLimits
 ) -> AbstractContextManager[Players]:
-    return open_players(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits)
+    return open_slots(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits)
 
 
 def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
@@ -289,7 +307,7 @@ def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
         if name != "success_unknown":  # which stands in the success rate's place
             table.add_row(name, _reported(episodes, name) if value is None else f"{value:g}")
     console.print(table, soft_wrap=False)
-    console.print(f"Results: {_relative(folder.path)}")
+    console.print(f"Results: {folder.shown}")
 
 
 def _reported(episodes: list[Episode], measure: str) -> str:
@@ -300,7 +318,3 @@ def _reported(episodes: list[Episode], measure: str) -> str:
 
 def _title(config: RunConfig) -> str:
     return f"{config.run_id} (c = {config.curiosity.c:g}, seed {config.seed})"
-
-
-def _relative(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

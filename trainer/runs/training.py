@@ -74,14 +74,15 @@ def train(
     begin()
     logger.output_formats += [ProgressFile(folder.progress, done), TensorBoardLog(folder.tensorboard, done)]
     writer = CheckpointWriter(folder.checkpoints)
-    with ProgressDisplay(config.run_id, config.steps, done) as display, StopSignals() as signals:
+    with ProgressDisplay() as display, StopSignals() as signals:
+        display.add(config.run_id, config.steps, done)
         stop = StopOnSignal(signals)
         save = Save(everything, random, counters, config.as_dict(), stages, players, steps, stop, writer)
         callbacks = [
             CountSteps(counters, players),
             episodes,
             LogRows(counters, episodes, stages, steps * players.num_envs),
-            ShowProgress(display, episodes, stages),
+            ShowProgress(display, config.run_id, episodes, stages),
             save,
             stop,
         ]

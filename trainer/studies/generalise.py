@@ -31,7 +31,7 @@ from trainer.errors import TrainerError
 from trainer.learning.stages import build_stages
 from trainer.players.failures import PlayerLogs
 from trainer.players.location import BUILTIN
-from trainer.players.opening import open_players
+from trainer.players.opening import open_slots
 from trainer.runs.checkpoint import checkpoints
 from trainer.runs.evaluation import evaluate, summarise
 from trainer.runs.folder import RunFolder
@@ -200,7 +200,7 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
             changed = dataclasses.replace(changed, env_args=[*config.env_args, "--config", str(file)])
         connection = ConnectionOptions(base_port=free_port(), timeout_wait=timeout_wait)
         logs = PlayerLogs(Path(temporary), stay=False)
-        with open_players(changed, logs, connection, seed=evaluation_seed(config.seed)) as players:
+        with open_slots(changed, logs, connection, seed=evaluation_seed(config.seed)) as players:
             shown = NearestOpponent(players)
             stages = build_stages(changed, shown)
             load_trained(config, folder, stages)

@@ -1,0 +1,83 @@
+"""The rewards that a behavior is learned from: the environment's, and those that are learned with it."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from corridor_server.protocol.agents import Behavior
+from trainer.behavior_settings import BehaviorSettings
+from trainer.learning.reward_signals import CuriosityModule, NoveltyModule
+from trainer.learning.transitions import Singles
+
+
+class IntrinsicReward(Protocol):
+    """A reward that is learned."""
+
+    def reward(
+        self,
+        observations: tuple[Singles, ...],
+        continuous: Singles,
+        discrete: NDArray[np.int64],
+        next_observations: tuple[Singles, ...],
+    ) -> Singles:
+        """Of n transitions, (n,) float32, before its strength."""
+
+    def learn(
+        self,
+        observations: tuple[Singles, ...],
+        continuous: Singles,
+        discrete: NDArray[np.int64],
+        next_observations: tuple[Singles, ...],
+    ) -> dict[str, float]:
+        """One gradient step on a minibatch; its losses by name."""
+
+    def state_dict(self) -> Mapping[str, Any]:
+        """All that it has learned."""
+
+    def load_state_dict(self, state: Any, /) -> None:
+        """Takes over what ``state_dict`` gave."""
+
+
+class Signal(NamedTuple):
+    """A reward that a behavior learns from.
+
+    Attributes:
+        name: ``extrinsic``, ``curiosity`` or ``rnd``.
+        strength: Factor on it.
+        gamma: Its discount factor.
+        module: Gives it; None for the environment's own.
+    """
+
+    name: str
+    strength: float
+    gamma: float
+    module: IntrinsicReward | None = None
+
+
+def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> tuple[Signal, ...]:
+    """The rewards that a behavior's settings ask for, the environment's first.
+
+    Args:
+        behavior: What its agents observe and do.
+        settings: How it is trained.
+        seed: Of the networks' initial weights.
+    """
+    asked, found = settings.reward_signals, []
+    if asked.extrinsic is not None:
+        found.append(Signal("extrinsic", asked.extrinsic.strength, asked.extrinsic.gamma))
+    for name, signal, kind in (("curiosity", asked.curiosity, CuriosityModule), ("rnd", asked.rnd, NoveltyModule)):
+        if signal is not None:
+            network = signal.network_settings
+            module = kind(
+                behavior,
+                strength=signal.strength,
+                learning_rate=signal.learning_rate,
+                hidden_units=network.hidden_units,
+                num_layers=network.num_layers,
+                vis_encode_type=network.vis_encode_type,
+                seed=seed,
+            )
+            found.append(Signal(name, signal.strength, signal.gamma, module))
+    return tuple(found)

@@ -1,0 +1,191 @@
+"""The learners of a run, one for each behavior that its players have, by names without teams."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from corridor_server.protocol.agents import ActionBatch, Behavior, Sensor
+from trainer.config import RunConfig
+from trainer.errors import TrainerError
+from trainer.learning.ppo_learner import PPOLearner
+from trainer.learning.signals import build_signals
+from trainer.players.scene import Message, Scene
+from trainer.runs.checkpoint import Checkpoint, read_checkpoint, read_checkpoint_file
+
+LEARNER = "learner "  # before a behavior's name, in a checkpoint
+
+
+class BehaviorLearners:
+    """Gives every behavior its learner, at its first agents.
+
+    Args:
+        config: The run.
+        scene: Its players.
+    """
+
+    def __init__(self, config: RunConfig, scene: Scene) -> None:
+        self._config, self._scene = config, scene
+        self._learners: dict[str, PPOLearner] = {}
+
+    def on(self, scene: Scene) -> "BehaviorLearners":
+        """The same learners on other players."""
+        others = BehaviorLearners(self._config, scene)
+        others._learners = self._learners
+        return others
+
+    def __iter__(self) -> Iterator[tuple[str, PPOLearner]]:
+        return iter(self._learners.items())
+
+    def __len__(self) -> int:
+        return len(self._learners)
+
+    @property
+    def steps(self) -> int:
+        """Of all together."""
+        return sum(learner.steps for learner in self._learners.values())
+
+    @property
+    def episodes(self) -> int:
+        """Of all together."""
+        return sum(learner.episodes for learner in self._learners.values())
+
+    @property
+    def are_done(self) -> bool:
+        """Whether each has taken all its steps."""
+        return bool(self._learners) and all(learner.is_done for learner in self._learners.values())
+
+    @property
+    def may_be_full(self) -> bool:
+        """Whether the next messages may bring one enough for an update."""
+        return any(learner.is_nearly_full for learner in self._learners.values())
+
+    def take(self, messages: list[Message]) -> None:
+        """Hands every learner what the players' agents say."""
+        for player, message in enumerate(messages):
+            if message.anew:
+                for learner in self._learners.values():
+                    learner.begin_anew(player)
+            for name in dict.fromkeys((*message.ended, *message.asking)):
+                learner = self._of(self._scene.behaviors[name])
+                learner.take(player, name, message.ended.get(name), message.asking.get(name))
+
+    def learn(self) -> bool:
+        """Has every learner that has enough make an update; returns whether one had."""
+        full = [learner for learner in self._learners.values() if learner.is_full]
+        for learner in full:
+            learner.learn()
+        return bool(full)
+
+    def act(self) -> list[dict[str, ActionBatch]]:
+        """Decides for all agents that asked: for each player, by full behavior names."""
+        actions: list[dict[str, ActionBatch]] = [{} for _ in range(len(self._scene))]
+        for learner in self._learners.values():
+            for (player, behavior), batch in learner.act().items():
+                actions[player][behavior] = batch
+        return actions
+
+    def state_dict(self) -> dict[str, PPOLearner]:
+        """Every learner as a part of a checkpoint, by the part's name."""
+        return {f"{LEARNER}{name}": learner for name, learner in self._learners.items()}
+
+    def restore(self, checkpoint: Checkpoint, *, to_play: bool = False) -> None:
+        """Puts learners back as they were.
+
+        Args:
+            checkpoint: Of the run.
+            to_play: Only what it takes to act.
+
+        Raises:
+            TrainerError: It is for other behaviors.
+        """
+        for name, described in checkpoint.part("behaviors").items():
+            learner = self._of(behavior_from(described))
+            _load(checkpoint, name, learner, to_play)
+
+    def described(self) -> dict[str, Any]:
+        """What each behavior observes and does, as plain values; the inverse of ``behavior_from``."""
+        return {name: plain_behavior(learner.behavior) for name, learner in self._learners.items()}
+
+    def _of(self, behavior: Behavior) -> PPOLearner:
+        name = behavior.name.partition("?")[0]
+        known = self._learners.get(name)
+        if known is None:
+            self._learners[name] = known = self._new(name, behavior)
+        elif (known.behavior.sensors, known.behavior.continuous_actions, known.behavior.discrete_branches) != (
+            behavior.sensors,
+            behavior.continuous_actions,
+            behavior.discrete_branches,
+        ):
+            raise TrainerError(
+                f"Behavior {behavior.name} observes or does something else than {known.behavior.name}, but teams of one "
+                "behavior share a policy; give it another Behavior Name."
+            )
+        return known
+
+    def _new(self, name: str, behavior: Behavior) -> PPOLearner:
+        settings, seed = self._config.settings_for(name), self._config.seed
+        learner = PPOLearner(behavior, settings, build_signals(behavior, settings, seed), seed)
+        if settings.init_path is not None:
+            path = Path(settings.init_path)
+            _load(
+                read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path),
+                name,
+                learner,
+                True,
+            )
+        return learner
+
+
+def _load(checkpoint: Checkpoint, name: str, learner: PPOLearner, to_play: bool) -> None:
+    state = checkpoint.part(f"{LEARNER}{name}")
+    if not state:
+        raise TrainerError(f"The checkpoint has no behavior {name!r}; give one of a run that trained it.")
+    try:
+        (learner.load_policy if to_play else learner.load_state_dict)(state)
+    except (KeyError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise TrainerError(f"The checkpoint's policy of {name} is for other settings: {reason}") from error
+
+
+def asking_of(messages: list[Message]) -> dict[str, Any]:
+    """What the players' agents that ask observe: by this a resumed run knows whether its episodes go on."""
+    found: dict[str, Any] = {}
+    for player, message in enumerate(messages):
+        for name, agents in message.asking.items():
+            found[f"{player} {name} ids"] = np.asarray(agents.ids)
+            for index, values in enumerate(agents.observations):
+                found[f"{player} {name} {index}"] = np.asarray(values)
+    return found
+
+
+def plain_behavior(behavior: Behavior) -> dict[str, Any]:
+    """A behavior as plain names and values."""
+    return {
+        "name": behavior.name,
+        "observations": [
+            {
+                "name": each.name,
+                "shape": list(each.shape),
+                "properties": list(each.dimension_properties),
+                "kind": each.kind,
+            }
+            for each in behavior.sensors
+        ],
+        "continuous_actions": behavior.continuous_actions,
+        "discrete_branches": list(behavior.discrete_branches),
+    }
+
+
+def behavior_from(values: Mapping[str, Any]) -> Behavior:
+    """The inverse of ``plain_behavior``.
+
+    Raises:
+        KeyError: Something is missing.
+    """
+    sensors = tuple(
+        Sensor(each["name"], tuple(each["shape"]), tuple(each["properties"]), each["kind"])
+        for each in values["observations"]
+    )
+    return Behavior(values["name"], sensors, values["continuous_actions"], tuple(values["discrete_branches"]))

@@ -1,0 +1,238 @@
+"""Training whatever a scene has: every behavior with its own learner, until each has taken its steps."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.utils import set_random_seed
+
+from trainer.config import RunConfig
+from trainer.curriculum import Curricula
+from trainer.learning.algorithm_state import RandomStreams
+from trainer.players.location import BUILTIN
+from trainer.players.scene import Scene
+from trainer.runs.behavior_learners import BehaviorLearners, asking_of
+from trainer.runs.behavior_log import BehaviorLog
+from trainer.runs.checkpoint import Checkpoint, CheckpointWriter, to_bytes
+from trainer.runs.counters import Counters
+from trainer.runs.folder import RunFolder
+from trainer.runs.progress import ProgressDisplay
+from trainer.runs.run_state import capture
+from trainer.signals import StopSignals, deferred
+from trainer.terminal import Terminal
+
+SAVING_SHARE = 0.05  # of the time, at most, goes into checkpoints of updates
+
+
+class SceneTraining:
+    """One run, or one part of a resumed one.
+
+    Args:
+        config: The run.
+        folder: Where its results go.
+        scene: Its players.
+        counters: Of the checkpoint, or new ones; updated as the run goes.
+        checkpoint: Of a resumed run, whose players were opened with its states.
+
+    Attributes:
+        learners: Of every behavior.
+
+    Raises:
+        TrainerError: The checkpoint does not fit.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        folder: RunFolder,
+        scene: Scene,
+        counters: Counters,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
+        set_random_seed(config.seed)
+        self._config, self._folder, self._scene, self._counters = config, folder, scene, counters
+        self.learners = BehaviorLearners(config, scene)
+        self._curricula = Curricula(config.environment_parameters)
+        self._random = RandomStreams()
+        self._writer = CheckpointWriter(folder.checkpoints)
+        self._logs: dict[str, BehaviorLog] = {}
+        self._lesson_returns: dict[str, list[float]] = {}  # of episodes since the last change of a lesson
+        self._messages = scene.reset()
+        config.check_behaviors(scene.behaviors)
+        self._listed = {name.partition("?")[0] for name in scene.behaviors}
+        if checkpoint is not None:
+            self._restore(checkpoint)
+        self._saved_steps = self._kept_steps = counters.env_steps
+        self._saving_seconds, self._next_save = 0.0, 0.0
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The environment parameters of the present lessons."""
+        return scene_parameters(self._config, self._curricula)
+
+    def train(self, begin: Callable[[], None]) -> bool:
+        """Trains until every behavior has taken its steps, a signal, or an error; whatever ends it, the run is saved.
+
+        Args:
+            begin: Called before anything is written, once everything is known to fit.
+
+        Returns:
+            Whether all steps were taken; False if a signal ended it before.
+
+        Raises:
+            TrainerError: A player failed, the folder can't be written, or numbers went bad.
+        """
+        learners, scene, counters = self.learners, self._scene, self._counters
+        learners.take(self._messages)
+        begin()
+        started, earlier = time.monotonic(), replace(counters)
+        with ProgressDisplay() as display, StopSignals() as signals:
+            try:
+                while True:
+                    counters.env_steps, counters.episodes = learners.steps, learners.episodes
+                    counters.wall_seconds = earlier.wall_seconds + time.monotonic() - started
+                    counters.exchange_seconds = earlier.exchange_seconds + scene.exchange_seconds
+                    counters.restarts = earlier.restarts + scene.restarts
+                    if learners.learn():
+                        self._save_update()
+                        self._report(display)
+                    if learners.are_done or signals.received:
+                        break
+                    self._teach()
+                    actions = learners.act()
+                    if learners.may_be_full:
+                        scene.ask_states()
+                    scene.send(actions)
+                    self._messages = scene.receive()
+                    learners.take(self._messages)
+            finally:
+                with deferred():
+                    self._finish()
+        return not signals.received
+
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        self.learners.restore(checkpoint)
+        self._curricula.load_state_dict(checkpoint.part("curricula"))
+        for name, returns in checkpoint.part("lessons").items():
+            self._lesson_returns[name] = list(returns)
+        self._tell_lessons()
+        saved, found = checkpoint.part("asking"), asking_of(self._messages)
+        if saved and saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved):
+            self._messages = [message._replace(anew=False) for message in self._messages]
+        else:
+            Terminal().print("The player can't go on where it was: new episodes begin.")
+        self._random.load_state_dict(checkpoint.part("random"))
+
+    def _teach(self) -> None:
+        """Goes on to the next lesson where one is over."""
+        changed = must_reset = False
+        for name, learner in self.learners:
+            ended, learner.ended_returns = learner.ended_returns, []
+            if not ended or not self._curricula.numbers:
+                continue
+            returns = self._lesson_returns.setdefault(name, [])
+            returns.extend(ended)
+            del returns[: -self._curricula.episodes(name)]
+            results = self._curricula.update(name, learner.steps / learner.settings.max_steps, returns)
+            changed, must_reset = changed or results[0], must_reset or results[1]
+        if not changed:
+            return
+        self._lesson_returns.clear()
+        self._tell_lessons()
+        if must_reset:
+            self._messages = self._scene.reset()
+            self.learners.take(self._messages)
+
+    def _tell_lessons(self) -> None:
+        self._scene.set_parameters(self.parameters)
+
+    def _parts(self) -> dict[str, Any]:
+        return {
+            **self.learners.state_dict(),
+            "players": self._scene,
+            "curricula": self._curricula,
+            "random": self._random,
+        }
+
+    def _save_update(self) -> None:
+        """Saves after an update, unless the last checkpoint was just now and takes long."""
+        if time.monotonic() >= self._next_save or self._is_time_to_keep():
+            self._save()
+
+    def _is_time_to_keep(self) -> bool:
+        intervals = [learner.settings.checkpoint_interval for _, learner in self.learners]
+        return self._counters.env_steps - self._kept_steps >= min(intervals)
+
+    def _save(self) -> None:
+        began = time.monotonic()
+        self._random.note()
+        values = {
+            "behaviors": self.learners.described(),
+            "lessons": self._lesson_returns,
+            "asking": asking_of(self._messages),
+        }
+        parts = {**self._parts(), **{name: _Plain(value) for name, value in values.items()}}
+        facts = {
+            "config": self._config.as_dict(),
+            "counters": asdict(self._counters),
+            "env_steps": self._counters.env_steps,
+        }
+        self._writer.write(self._counters.env_steps, to_bytes(capture(parts, facts)))
+        self._saved_steps = self._counters.env_steps
+        if self._is_time_to_keep():
+            self._kept_steps = self._counters.env_steps
+            self._writer.keep(max(learner.settings.keep_checkpoints for _, learner in self.learners))
+        ended = time.monotonic()
+        self._next_save = ended + (ended - began) / SAVING_SHARE
+
+    def _finish(self) -> None:
+        """Saves what was not saved yet, unless an exact checkpoint is there, and closes everything."""
+        try:
+            if self._counters.env_steps > self._saved_steps and not (self._saved_steps and self._scene.says_its_state):
+                self._save()
+            self._writer.keep(max([1, *(learner.settings.keep_checkpoints for _, learner in self.learners)]))
+        finally:
+            for log in self._logs.values():
+                log.close()
+
+    def _report(self, display: ProgressDisplay) -> None:
+        """Shows every behavior's progress, and logs a row where it is time to."""
+        statistics: dict[str, float] | None = None
+        for name, learner in self.learners:
+            log = self._logs.get(name)
+            if log is None:
+                path = self._folder.behavior(name, only=self.is_only(name)).path
+                self._logs[name] = log = BehaviorLog(path, learner.steps, learner.settings.summary_freq)
+                display.add(
+                    self._config.run_id if self.is_only(name) else name, learner.settings.max_steps, learner.steps
+                )
+            display.update(self._config.run_id if self.is_only(name) else name, log.snapshot(learner))
+            if log.is_due(learner):
+                if statistics is None:
+                    statistics = {key: float(np.mean(each)) for key, each in self._scene.statistics().items() if each}
+                    statistics |= {f"Environment/Lesson Number/{key}": n for key, n in self._curricula.numbers.items()}
+                log.write(learner, self._counters.wall_seconds, statistics)
+
+    def is_only(self, name: str) -> bool:
+        """Whether the run's own folder is this behavior's: one that is alone, and was from the beginning."""
+        return len(self._listed) == 1 and name in self._listed
+
+
+class _Plain:
+    """Values as a part of a checkpoint."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = values
+
+    def state_dict(self) -> Mapping[str, Any]:
+        return self._values
+
+
+def scene_parameters(config: RunConfig, curricula: Curricula) -> dict[str, Any]:
+    """The environment parameters of the present lessons, without what only the paper's corridor has."""
+    ours = config.env == BUILTIN
+    return {name: value for name, value in curricula.values().items() if ours or name not in config.preset_parameters}
