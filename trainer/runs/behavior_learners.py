@@ -119,8 +119,8 @@ class BehaviorLearners:
             behavior.discrete_branches,
         ):
             raise TrainerError(
-                f"Behavior {behavior.name} observes or does something else than {known.behavior.name}, but teams of one "
-                "behavior share a policy; give it another Behavior Name."
+                f"Behavior {behavior.name} observes or does something else than {known.behavior.name}, but teams of "
+                "one behavior share a policy; give it another Behavior Name."
             )
         return known
 

@@ -157,7 +157,7 @@ class CheckpointWriter:
         self._rolling = path
 
     def keep(self, count: int = KEPT) -> None:
-        """Makes the newest checkpoint one of those that are kept, ``count`` of them, and waits until the disk has it."""
+        """Makes the newest checkpoint one of ``count`` that are kept, and waits until the disk has it."""
         if self._rolling is None:
             return
         with self._rolling.open("rb") as file:
