@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
 from corridor_server.player import MakeSimulation, Player, PlayerError
-from corridor_server.player_options import check_options, package_version, parser
+from corridor_server.player_options import check_options, check_pictures, package_version, parser
 from corridor_server.shared.standard_streams import drop_failing_output
 from corridor_server.simulations.simulation import SimulationError
 
@@ -92,7 +92,7 @@ def _gymnasium(options: argparse.Namespace) -> MakeSimulation:
         options.camera,
         options.vectorization_mode or "sync",
     )
-    environment.check()
+    check_pictures(options, options.gym, environment.check().values())
     return partial(served.GymnasiumSimulation, environment)
 
 
@@ -111,7 +111,7 @@ def _pettingzoo(options: argparse.Namespace) -> MakeSimulation:
         frozenset(groups or ()),
         tuple(options.parameters or ()),
     )
-    environment.check()
+    check_pictures(options, options.pettingzoo, environment.check().values())
     return partial(served.PettingZooSimulation, environment)
 
 

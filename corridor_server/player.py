@@ -1,12 +1,13 @@
 """The life of a player: handshake, then reset and step until the trainer has had enough (protocol.md of ML-Agents)."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
+from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import API_VERSION, MAX_AREAS, QUIT
 from corridor_server.protocol.side_channels import SideChannelError
 from corridor_server.protocol.visual_observations import PictureForm
@@ -57,7 +58,8 @@ class Player:
         """Plays until the trainer ends it with QUIT or a status other than 200.
 
         Raises:
-            PlayerError: The trainer's protocol version or a message of its can't be used; it was told so.
+            PlayerError: The trainer's protocol version, a message of its, or the simulation's agents can't be used; the
+            trainer was told so.
             ConnectionBroken: The trainer is gone.
             ConnectionFailed: There is no trainer to play with.
             SimulationError: The simulation failed; the trainer was told that the player stops.
@@ -106,6 +108,8 @@ class Player:
                 moment, statistics = timing.step(command.actions)
             side_channel = side_channels.write_statistics(statistics)
             parts = [(simulation.behaviors[name], agents) for name, agents in moment.items() if len(agents)]
+            if len(parts) > 1:
+                _check_ids(parts)
             asked = {behavior.name: len(agents.deciding) for behavior, agents in parts}
             if state_wanted and any(asked.values()):  # it belongs to what a policy sees: a RESET before that changes it
                 state = simulation.snapshot()
@@ -168,6 +172,19 @@ class Player:
             raise PlayerError("The trainer has a saved state to put back, but this player's simulation has none.")
         simulation.restore(side_channels.read_state(payload, now))
         logger.info("The areas go on where a saved run left them.")
+
+
+def _check_ids(parts: Sequence[tuple[Behavior, Agents]]) -> None:
+    """Refuses an id that agents of two behaviors have: what a simulation of somebody's own can have wrong."""
+    owners: dict[int, str] = {}
+    for behavior, agents in parts:
+        mine = set(agents.ids.tolist())
+        for shared in sorted(mine & owners.keys())[:1]:
+            raise PlayerError(
+                f"The simulation has an agent {shared} of {owners[shared]} and one of {behavior.name}, but ids that "
+                "are unique over all behaviors were expected; number each behavior's after those of the one before."
+            )
+        owners |= dict.fromkeys(mine, behavior.name)
 
 
 def _wants_channels_first(package_version: str) -> bool:

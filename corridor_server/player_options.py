@@ -3,12 +3,13 @@
 import argparse
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from corridor_server.decision_timing import TIMINGS
+from corridor_server.protocol.agents import Behavior
 from corridor_server.protocol.messages import MAX_AREAS
 from corridor_server.shared.addresses import LOOPBACK, PORTS, parse_host
 from corridor_server.shared.given import Range, shown
@@ -65,6 +66,21 @@ def check_options(options: argparse.Namespace, own: bool = False) -> None:
             raise ValueError(f"{option} goes with {' or '.join(kinds)}, but {played} is played.")
     if options.camera_raw and options.camera is None and played == CORRIDOR:
         raise ValueError("--camera-raw says how a picture is sent, but there is none; give its size with --camera.")
+
+
+def check_pictures(options: argparse.Namespace, environment: str, behaviors: Iterable[Behavior]) -> None:
+    """Refuses ``--camera-raw`` of an environment without pictures.
+
+    Args:
+        options: As they were read.
+        environment: Its name, for the error.
+        behaviors: All that it has.
+
+    Raises:
+        ValueError: It has none.
+    """
+    if options.camera_raw and not any(sensor.is_picture for behavior in behaviors for sensor in behavior.sensors):
+        raise ValueError(f"--camera-raw says how a picture is sent, but {environment} has none; leave it out.")
 
 
 def parser() -> argparse.ArgumentParser:

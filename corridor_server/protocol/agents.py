@@ -36,6 +36,11 @@ class Sensor(NamedTuple):
         }
         return cls(name, shape, properties[len(shape)])
 
+    @property
+    def is_picture(self) -> bool:
+        """Whether its numbers are a picture's."""
+        return len(self.shape) == 3
+
 
 @dataclass(frozen=True)
 class Behavior:

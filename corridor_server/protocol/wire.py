@@ -227,9 +227,9 @@ def _check_values(batch: ActionBatch, behavior: Behavior) -> None:
             "look for a diverged policy."
         )
     if behavior.discrete_branches:
-        unknown = np.argwhere((batch.discrete < 0) | (batch.discrete >= behavior.discrete_branches))
-        if len(unknown):
-            row, branch = unknown[0].tolist()
+        unknown = (batch.discrete < 0) | (batch.discrete >= behavior.discrete_branches)
+        if np.count_nonzero(unknown):
+            row, branch = np.argwhere(unknown)[0].tolist()
             raise _unknown_choice(row, batch.discrete[row, branch], branch, behavior.discrete_branches[branch])
 
 

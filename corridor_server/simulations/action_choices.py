@@ -1,6 +1,6 @@
 """Gymnasium's action spaces as continuous numbers and discrete branches, and a trainer's actions back."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,19 +48,47 @@ class ActionChoices:
         """The actions as a vector environment's ``step`` takes them: a batch of the space's."""
         return self._read(actions)
 
-    def forbidden(self, allowed: NDArray[Any]) -> tuple[NDArray[np.bool_], ...]:
+    def allowed(self, said: Sequence[Any]) -> NDArray[np.bool_]:
+        """What agents may choose, (n, choices of all branches), of the masks in their infos.
+
+        Args:
+            said: 1 for a choice that is allowed, in an array or in one per branch; None says nothing, and allows all.
+
+        Raises:
+            SimulationError: One has another number of choices.
+        """
+        allowed = np.ones((len(said), sum(self.branches)), np.bool_)
+        for row, given in enumerate(said):
+            if given is not None:
+                mask = np.hstack(given)
+                self.check_mask(mask)
+                allowed[row] = mask
+        return allowed
+
+    def forbidden(
+        self, allowed: NDArray[Any], ids: NDArray[np.int32], ended: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], ...]:
         """Masks as they travel, an array per branch, of those that environments give.
 
         Args:
             allowed: 1 for a choice that is allowed, (n, choices of all branches).
+            ids: The agents'.
+            ended: Who chooses no more, and is forbidden nothing.
 
         Raises:
-            SimulationError: It has another number of choices.
+            SimulationError: It has another number of choices, or allows an agent none of a branch.
         """
         for mask in allowed[:1]:
             self.check_mask(mask)
-        ends = np.cumsum(self.branches)[:-1].tolist()
-        return tuple(np.split(allowed == 0, ends, axis=1))
+        forbidden = (allowed == 0) & ~ended[:, None]
+        masks = tuple(np.split(forbidden, np.cumsum(self.branches)[:-1].tolist(), axis=1))
+        for branch, mask in enumerate(masks):
+            for row in np.flatnonzero(mask.all(axis=1))[:1]:
+                raise SimulationError(
+                    f"{self._owner} gave agent {ids[row]} an action_mask that forbids every choice of branch {branch}, "
+                    "but at least one that is allowed was expected: no policy can answer it."
+                )
+        return masks
 
     def check_mask(self, allowed: NDArray[Any]) -> None:
         """Refuses one agent's mask of another number of choices.

@@ -2,25 +2,23 @@
 
 import difflib
 import importlib
-import multiprocessing
-import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
 from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
-from corridor_server.simulations.declared_parameters import DeclaredParameters, ParameterTaker
-from corridor_server.simulations.observation_sensors import ACTION_MASK, WHOLE, ObservationSensors, check_finite
+from corridor_server.simulations.declared_parameters import DeclaredParameters
+from corridor_server.simulations.gymnasium_copies import Copies, CopiesHere, CopiesInProcesses, Settable, Wrap
+from corridor_server.simulations.observation_sensors import WHOLE, ObservationSensors, check_finite
 from corridor_server.simulations.simulation import (
     Moment,
     Simulation,
@@ -31,7 +29,6 @@ from corridor_server.simulations.simulation import (
 )
 
 CAMERA = "CameraSensor"
-_CLOSING_SECONDS = 1.0  # for processes that are still at work
 
 
 @dataclass(frozen=True)
@@ -54,15 +51,17 @@ class GymnasiumEnvironment:
     camera: tuple[int, int] | None = None
     mode: str = "sync"
 
-    def check(self) -> None:
-        """Makes it once, in this process.
+    def check(self) -> Mapping[str, Behavior]:
+        """Makes it once, in this process; returns its behavior by its full name.
 
         Raises:
             SimulationError: It can't be made, or its spaces can't be carried.
         """
-        GymnasiumSimulation(replace(self, mode="sync"), 0, 1).close()
+        simulation = GymnasiumSimulation(replace(self, mode="sync"), 0, 1)
+        simulation.close()
+        return simulation.behaviors
 
-    def make(self, count: int) -> SyncVectorEnv | AsyncVectorEnv:
+    def make(self, count: int) -> Copies:
         """Copies of it, which are reset by whoever steps them.
 
         Raises:
@@ -73,27 +72,14 @@ class GymnasiumEnvironment:
         if self.camera is not None:
             arguments["render_mode"] = "rgb_array"
         spec = gymnasium.spec(name)
-        settable: Callable[[Any], Any] = partial(_Settable, spec=spec, arguments=arguments, attributes=self.parameters)
+        settable: Wrap = partial(Settable, spec=spec, arguments=arguments, attributes=self.parameters)
         wrappers = [settable, *map(_wrapper, self.wrappers)]
-        # Copies are reset by whoever steps them, and what they give is read at once.
-        vector_arguments: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED, "copy": False}
-        if self.mode == "async":
-            wrappers.append(_leave_interrupts)
-            vector_arguments["context"] = _context()
         if self.camera is not None:
             wrappers.append(partial(_Camera, size=self.camera))
-        wrappers.append(_Told)
         with blaming(f"{self.name} can't be made"):
-            made: Any = gymnasium.make_vec(
-                name,
-                num_envs=count,
-                vectorization_mode=self.mode,
-                vector_kwargs=vector_arguments,
-                wrappers=wrappers,
-                disable_env_checker=True,
-                **arguments,
-            )
-            return cast(SyncVectorEnv | AsyncVectorEnv, made)
+            if self.mode == "async":
+                return CopiesInProcesses(name, arguments, count, wrappers)
+            return CopiesHere(partial(gymnasium.make, name, disable_env_checker=True, **arguments), count, wrappers)
 
 
 class GymnasiumSimulation(Simulation):
@@ -110,13 +96,13 @@ class GymnasiumSimulation(Simulation):
 
     def __init__(self, environment: GymnasiumEnvironment, seed: int, num_areas: int) -> None:
         self._name = environment.name
-        self._seeds: list[int | None] | None = [(seed + area) % 2**32 for area in range(num_areas)]
+        self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
         numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
         self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
         self._set = False  # whether a parameter was
-        self._envs = environment.make(num_areas)
-        self._sensors = ObservationSensors(self._envs.single_observation_space, self._name)
-        self._choices = ActionChoices(self._envs.single_action_space, self._name)
+        self._copies = environment.make(num_areas)
+        self._sensors = ObservationSensors(self._copies.observation_space, self._name)
+        self._choices = ActionChoices(self._copies.action_space, self._name)
         behavior = f"{self._name.rpartition(':')[2]}?team=0"
         self._behavior = Behavior(behavior, self._sensors.sensors, self._choices.continuous, self._choices.branches)
         self._ids = np.arange(num_areas, dtype=np.int32)
@@ -139,7 +125,7 @@ class GymnasiumSimulation(Simulation):
     def reset(self) -> Moment:
         """Begins an episode in every copy, but where one has just begun by itself."""
         if self._last is None or not self._begun_by_end.all():
-            observations, masks = self._begin(~self._begun_by_end, () if self._last is None else self._last.masks)
+            observations, masks = self._begin(~self._begun_by_end, self._last)
             self._last = Agents.that_ask(self._ids, observations, np.zeros(len(self._ids)), masks)
         self._begun_by_end[:] = False
         return {self._behavior.name: self._last}
@@ -148,136 +134,72 @@ class GymnasiumSimulation(Simulation):
         """Steps every copy, and resets those whose episode ended."""
         batch = self._choices.read(actions[self._behavior.name])
         with blaming(f"{self._name} failed in a step"):
-            batched, rewards, terminated, truncated, info = self._envs.step(batch)
-            observations, masks = self._read(batched, info)
-        ended = terminated | truncated
+            told = self._copies.step(batch)
+            ended = told.terminated | told.truncated
+            observations, masks = self._read(told.observations, told.masks, self._ids, ended)
         with np.errstate(over="ignore"):
-            got = rewards.astype(np.float32)
-        check_finite(got, "a reward", self._ids)
-        agents = Agents.that_ask(self._ids, observations, got, masks)
+            rewards = told.rewards.astype(np.float32)
+        check_finite(rewards, "a reward", self._ids)
+        agents = Agents.that_ask(self._ids, observations, rewards, masks)
         self._begun_by_end = ended
         if ended.any():
-            agents = self._with_ended(agents, ended, truncated & ~terminated)
+            agents = self._with_ended(agents, ended, told.truncated & ~told.terminated)
         self._last = agents.deciding
         return {self._behavior.name: agents}, {}
 
     def close(self) -> None:
         """Closes every copy."""
-        if not try_to_close(self._name, partial(self._envs.close, timeout=_CLOSING_SECONDS)):
-            self._envs.closed = True  # not once more when it is forgotten
-            for process in getattr(self._envs, "processes", ()):
-                process.kill()
+        try_to_close(self._name, self._copies.close)
 
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
-        observations, masks = self._begin(ended, last.masks)
+        observations, masks = self._begin(ended, last)
         seen = tuple(values[ended] for values in last.observations)
         over = Agents.that_ended(self._ids[ended], seen, last.rewards[ended], interrupted[ended])
         return over.then(Agents.that_ask(self._ids, observations, np.where(ended, 0, last.rewards), masks))
 
     def _begin(
-        self, which: NDArray[np.bool_], masks: tuple[NDArray[np.bool_], ...]
+        self, which: NDArray[np.bool_], last: Agents | None
     ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
-        """Resets these copies; returns what all observe, and their masks, which were ``masks`` before."""
+        """Resets these copies; returns what all observe, and their masks, where the others are as they were last."""
         with blaming(f"{self._name} failed in a reset"):
+            settings = None
             if self._set:
                 settings = [self._parameters.draw(row) if which[row] else None for row in range(len(which))]
-                self._envs.set_attr("settings_from_trainer", settings)
-            seeds: Any = self._seeds
-            batched, info = self._envs.reset(seed=seeds, options={"reset_mask": which})
-            observations, begun = self._read(batched, info)
-        self._seeds = None  # a later episode goes on with its random numbers
-        return observations, tuple(
-            np.where(which[:, None], new, old) for old, new in zip(masks or begun, begun, strict=True)
-        )
+            told = self._copies.reset(which, self._seeds, settings)
+            ids = self._ids[which]
+            observations, masks = self._read(told.observations, told.masks, ids, np.zeros(len(ids), np.bool_))
+        self._seeds = [None] * len(which)  # a later episode goes on with its random numbers
+        if last is None:
+            return observations, masks
+        before = last.masks or tuple(np.zeros((len(which), each.shape[1]), np.bool_) for each in masks)
+        return _replaced(last.observations, which, observations), _replaced(before, which, masks)
 
-    def _read(self, batched: Any, info: Mapping[str, Any]) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[Any], ...]]:
-        observations = self._sensors.read(batched)
+    def _read(
+        self, batch: Any, said: Sequence[Any], ids: NDArray[np.int32], ended: NDArray[np.bool_]
+    ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
+        """Observations and masks of the agents of these ids, some of which may have ended."""
+        observations = self._sensors.read(batch)
         for sensor, values in zip(self._sensors.sensors, observations, strict=True):
             if values.dtype == np.float32:
-                check_finite(values, sensor.name, self._ids)
-        return observations, self._masks(batched, info)
-
-    def _masks(self, batched: Any, info: Mapping[str, Any]) -> tuple[NDArray[np.bool_], ...]:
+                check_finite(values, sensor.name, ids)
         if not self._choices.branches:
-            return ()
-        allowed = self._sensors.mask(batched)
-        said = info.get(ACTION_MASK, ())
-        self._masked |= len(said) > 0
+            return observations, ()
+        allowed = self._sensors.mask(batch)
+        self._masked |= any(mask is not None for mask in said)
         if allowed is None and self._masked:
-            allowed = np.ones((len(self._ids), sum(self._choices.branches)), np.bool_)  # who says nothing may do all
-            for row, given in enumerate(said):
-                if given is not None:
-                    mask = np.hstack(given[0])  # some have one per branch
-                    self._choices.check_mask(mask)
-                    allowed[row] = mask
-        return () if allowed is None else self._choices.forbidden(allowed)
+            allowed = self._choices.allowed(said)
+        return observations, () if allowed is None else self._choices.forbidden(allowed, ids, ended)
 
 
-class _Settable(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Takes up parameters when an episode begins: attributes, and arguments with which it is made anew.
-
-    Attributes:
-        settings_from_trainer: Those for the next episode; None leaves all as they are. No other wrapper has this name.
-    """
-
-    def __init__(
-        self,
-        env: gymnasium.Env[Any, Any],
-        spec: gymnasium.envs.registration.EnvSpec,
-        arguments: Mapping[str, Any],
-        attributes: tuple[str, ...],
-    ) -> None:
-        super().__init__(env)
-        self.settings_from_trainer: Mapping[str, float] | None = None
-        make = partial(gymnasium.make, spec, disable_env_checker=True)
-        self._taker = ParameterTaker(spec.id, env, make, arguments, attributes, _spaces)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Takes up the settings first."""
-        settings, self.settings_from_trainer = self.settings_from_trainer or {}, None
-        self.env, seed = self._taker.take_up(self.env, settings, seed)
-        return self.env.reset(seed=seed, options=options)
-
-
-def _spaces(env: gymnasium.Env[Any, Any]) -> dict[str, object]:
-    return {"observation": env.observation_space, "action": env.action_space}
-
-
-class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Leaves of an info what is read of it: the rest need not be alike in all copies, and no other process has it."""
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Without options as somebody who has none begins an episode."""
-        observation, info = self.env.reset(seed=seed, options=options or None)
-        return observation, _only_mask(info)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """The same of a step."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if type(reward) is not float:
-            reward = float(np.asarray(reward, np.float64).reshape(()))  # some say [1.0]
-        return observation, reward, terminated, truncated, _only_mask(info) if info else info
-
-
-def _only_mask(info: Mapping[str, Any]) -> dict[str, Any]:
-    mask = info.get(ACTION_MASK)
-    return {} if mask is None else {ACTION_MASK: [mask]}  # in a list, as a batch has no arrays of different shapes
-
-
-def _context() -> str | None:
-    """How copies' processes start: not as forks of the player, which crash with gRPC's threads and keep its socket."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return None
-    multiprocessing.set_forkserver_preload(["__main__", __name__])
-    return "forkserver"
-
-
-def _leave_interrupts(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    """In a copy's own process, leaves Ctrl-C to the player, which stops the copies in order."""
-    if multiprocessing.parent_process() is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return env
+def _replaced(
+    old: tuple[NDArray[Any], ...], which: NDArray[np.bool_], new: tuple[NDArray[Any], ...]
+) -> tuple[NDArray[Any], ...]:
+    """The old arrays with new rows where ``which`` is."""
+    replaced = tuple(values.copy() for values in old)
+    for values, rows in zip(replaced, new, strict=True):
+        values[which] = rows
+    return replaced
 
 
 class _Camera(gymnasium.ObservationWrapper[Any, Any, Any]):
@@ -337,8 +259,8 @@ def _registered(name: str) -> str:
     return registered
 
 
-def _wrapper(name: str) -> Callable[[Any], Any]:
+def _wrapper(name: str) -> Wrap:
     module, _, attribute = name.rpartition(":")
     with blaming(f"--wrapper is {shown(name)}, but MODULE:NAME of a wrapper was expected"):
-        found: Callable[[Any], Any] = getattr(importlib.import_module(module), attribute)
+        found: Wrap = getattr(importlib.import_module(module), attribute)
     return found

@@ -1,12 +1,13 @@
 """Gymnasium's observation spaces as sensors: which part goes where, and batches of observations as arrays."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector.utils import concatenate, create_empty_array
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Sensor
@@ -61,6 +62,33 @@ class ObservationSensors:
         return None if self._mask is None else np.asarray(_at(batch, self._mask))
 
 
+def batched(space: spaces.Space[Any], observations: Sequence[Any]) -> Any:
+    """A batch of observations, as Gymnasium's vector environments have it, of the same space.
+
+    Raises:
+        ValueError: One has another shape than the space.
+    """
+    into: Any = create_empty_array(space, len(observations))
+    try:
+        return concatenate(space, observations, into)
+    except Exception:  # whatever an author gave
+        for observation in observations:
+            check_shapes(space, observation)
+        raise
+
+
+def check_shapes(space: spaces.Space[Any], observation: Any) -> None:
+    """Refuses an observation of which a part has another shape than the space.
+
+    Raises:
+        ValueError: It has.
+    """
+    for path, part in _leaves(space, ()):
+        shape = np.shape(_at(observation, path))
+        if shape != part.shape:
+            raise ValueError(f"{_named(path)} of shape {shape} came, but {part.shape} was expected")
+
+
 def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32]) -> None:
     """Refuses NaN and infinity.
 
@@ -100,8 +128,12 @@ def _at(batch: Any, path: Path) -> Any:
     return batch
 
 
+def _named(path: Path) -> str:
+    return "/".join(map(str, path)) or WHOLE
+
+
 def _part(path: Path, space: spaces.Space[Any], owner: str) -> _Part:
-    name = "/".join(map(str, path)) or WHOLE
+    name = _named(path)
 
     def refused(why: str) -> SimulationError:
         return SimulationError(

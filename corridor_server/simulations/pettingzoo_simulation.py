@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.vector.utils import batch_space, iterate
+from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
@@ -16,7 +17,7 @@ from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
 from corridor_server.simulations.declared_parameters import DeclaredParameters
-from corridor_server.simulations.observation_sensors import ObservationSensors, check_finite
+from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite
 from corridor_server.simulations.simulation import (
     Moment,
     Simulation,
@@ -50,13 +51,15 @@ class PettingZooEnvironment:
     groups: frozenset[str] = frozenset()
     parameters: tuple[str, ...] = ()
 
-    def check(self) -> None:
-        """Makes it once.
+    def check(self) -> Mapping[str, Behavior]:
+        """Makes it once; returns its behaviors by their full names.
 
         Raises:
             SimulationError: It can't be made, or a space can't be carried.
         """
-        PettingZooSimulation(self, 0, 1).close()
+        simulation = PettingZooSimulation(self, 0, 1)
+        simulation.close()
+        return simulation.behaviors
 
     def area(self) -> AgentArea:
         """Makes a copy.
@@ -207,8 +210,7 @@ class PettingZooSimulation(Simulation):
         events = [event for _, event in found]
         numbers = [area * len(self._names) + self._numbers[event.agent] for area, event in found]
         ids = np.array(numbers, np.int32)
-        into: Any = create_empty_array(role.observation_space, len(events))
-        batch = concatenate(role.observation_space, [event.observation for event in events], into)
+        batch = batched(role.observation_space, [event.observation for event in events])
         observations = role.sensors.read(batch)
         for sensor, values in zip(role.sensors.sensors, observations, strict=True):
             if values.dtype == np.float32:
@@ -228,24 +230,19 @@ class PettingZooSimulation(Simulation):
             observations,
             group_ids,
             group_rewards.astype(np.float32),
-            self._masks(role, batch, events),
+            self._masks(role, batch, events, ids),
         )
 
-    def _masks(self, role: _Role, batch: Any, events: Sequence[Event]) -> tuple[Any, ...]:
+    def _masks(self, role: _Role, batch: Any, events: Sequence[Event], ids: NDArray[np.int32]) -> tuple[Any, ...]:
         if not role.choices.branches:
             return ()
         allowed = role.sensors.mask(batch)
         said = [event.mask for event in events]
         if allowed is None and any(mask is not None for mask in said):
-            allowed = np.ones((len(events), sum(role.choices.branches)), np.bool_)
-            for row, mask in enumerate(said):
-                if mask is not None:
-                    role.choices.check_mask(np.hstack(mask))
-                    allowed[row] = np.hstack(mask)
+            allowed = role.choices.allowed(said)
         if allowed is None:
             return ()
-        allowed = np.where([[event.ended] for event in events], True, allowed)  # nobody chooses any more
-        return role.choices.forbidden(allowed)
+        return role.choices.forbidden(allowed, ids, np.array([event.ended for event in events], np.bool_))
 
     def _check_names(self) -> None:
         environment, names = self._environment, set(self._roles)

@@ -14,6 +14,12 @@ from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
+from corridor_server.player import Player, PlayerError
+from corridor_server.protocol.agents import Agents, Behavior, Sensor
+from corridor_server.protocol.messages import QUIT, RESET, UnityMessageProto
+from corridor_server.protocol.trainer_messages import command, initialization
+from corridor_server.simulations.simulation import Simulation
+
 BEHAVIOR = "Corridor?team=0"
 SERVER = str(BIN / "corridor-server")
 
@@ -146,6 +152,50 @@ def test_a_nan_action_stops_the_player_with_a_sentence(open_corridor, tmp_path):
         environment.step()
     assert process.wait(10) == 1
     assert "Action 1 is [nan, 0.0], but finite numbers" in (tmp_path / "Player-0.log").read_text()
+
+
+class TwoBehaviors(Simulation):
+    """Agents 0 and 1 of one behavior, and one of another whose id is given."""
+
+    def __init__(self, other):
+        self.other = other
+
+    @property
+    def behaviors(self):
+        names = ("Fox?team=0", "Hare?team=0")
+        return {name: Behavior(name, (Sensor.of("place", (1,)),), 1) for name in names}
+
+    def reset(self):
+        fox, hare = self.behaviors
+        return {fox: self.asking(0, 1), hare: self.asking(self.other)}
+
+    def asking(self, *ids):
+        return Agents.that_ask(ids, (np.zeros((len(ids), 1), np.float32),), np.zeros(len(ids)))
+
+    def step(self, actions):
+        raise NotImplementedError
+
+
+class Script:
+    """A connection to a trainer that answers this in turn; keeps what it was told."""
+
+    def __init__(self, *replies):
+        self.replies, self.told = list(replies), []
+
+    def exchange(self, message, timeout=None):
+        self.told.append(UnityMessageProto.FromString(message))
+        return self.replies.pop(0).SerializeToString()
+
+
+def test_agents_of_two_behaviors_with_one_id_stop_the_player_with_a_sentence():
+    script = Script(initialization(seed=1, num_areas=1), command(RESET), command(QUIT))
+    said = "an agent 1 of Fox?team=0 and one of Hare?team=0, but ids that are unique over all behaviors were expected"
+    with pytest.raises(PlayerError, match=re.escape(said)):
+        Player(script, lambda seed, count: TwoBehaviors(1), "test").run()
+    assert [message.header.status for message in script.told] == [200, 200, 400]
+    script = Script(initialization(seed=1, num_areas=1), command(RESET), command(QUIT))
+    Player(script, lambda seed, count: TwoBehaviors(2), "test").run()
+    assert len(script.told[-1].unity_output.rl_output.agentInfos) == 2
 
 
 def test_nobody_listening_is_one_sentence_with_host_port_and_seconds(free_port):

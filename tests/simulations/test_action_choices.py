@@ -135,11 +135,25 @@ def test_numbers_and_choices_of_nested_parts_are_one_hybrid_action():
 
 def test_a_mask_says_what_is_allowed_and_travels_as_what_is_forbidden():
     choices = ActionChoices(spaces.MultiDiscrete([2, 3]), "It")
-    masks = choices.forbidden(np.array([[1, 0, 1, 1, 0], [1, 1, 1, 1, 1]], np.int8))
+    allowed = np.array([[1, 0, 1, 1, 0], [1, 1, 1, 1, 1]], np.int8)
+    masks = choices.forbidden(allowed, np.arange(2, dtype=np.int32), np.zeros(2, np.bool_))
     assert [mask.tolist() for mask in masks] == [
         [[False, True], [False, False]],
         [[False, False, True], [False, False, False]],
     ]
+
+
+def test_a_mask_that_leaves_a_branch_no_choice_is_refused_but_of_who_ended():
+    choices = ActionChoices(spaces.MultiDiscrete([2, 3]), "It")
+    allowed, ids = np.array([[1, 1, 1, 1, 1], [1, 0, 0, 0, 0]], np.int8), np.array([4, 7], np.int32)
+    with pytest.raises(SimulationError) as caught:
+        choices.forbidden(allowed, ids, np.array([False, False]))
+    assert str(caught.value) == (
+        "It gave agent 7 an action_mask that forbids every choice of branch 1, but at least one that is allowed was "
+        "expected: no policy can answer it."
+    )
+    masks = choices.forbidden(allowed, ids, np.array([False, True]))
+    assert not any(mask.any() for mask in masks)
 
 
 @pytest.mark.parametrize("shape", [(4,), (6,), (5, 1), ()])

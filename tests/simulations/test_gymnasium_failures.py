@@ -79,14 +79,14 @@ def test_a_process_that_dies_is_a_failure_and_leaves_nothing_behind(at, play_gym
     with pytest.raises(SimulationError, match=rf"failed in a {at} \(.*(its process ended|Connection|pipe)"):
         [answer(simulation) for _ in range(2)]
     simulation.close()
-    for process in simulation._envs.processes:
+    for process in simulation._copies.vector.processes:
         process.join(10)
         assert not process.is_alive()
 
 
 def test_a_copys_process_is_no_fork_of_the_player_which_has_threads_and_a_socket(play_gymnasium):
     """A fork of it crashed now and then, and kept the trainer from hearing that the player was gone."""
-    [process, _] = play_gymnasium(mode="async")._envs.processes
+    [process, _] = play_gymnasium(mode="async")._copies.vector.processes
     assert type(process).__name__ == "ForkServerProcess"
 
 
@@ -97,19 +97,23 @@ def test_a_copy_at_work_does_not_keep_the_player_from_closing(play_gymnasium):
 
     simulation = play_gymnasium(Hanging, mode="async", num_areas=1)
     simulation.reset()
-    simulation._envs.step_async(np.array([0]))
+    simulation._copies.vector.step_async(np.array([0]))
     simulation.close()
-    assert not simulation._envs.processes[0].is_alive()
+    assert not simulation._copies.vector.processes[0].is_alive()
 
 
 def test_an_environment_that_raises_when_it_is_closed_does_no_harm(play_gymnasium, caplog):
     class Unclosable(Count):
+        tried = 0
+
         def close(self):
+            Unclosable.tried += 1
             raise RuntimeError("never")
 
     simulation = play_gymnasium(Unclosable)
     simulation.close()
     assert "Mine0-v0 failed when it was closed (RuntimeError: never)." in caplog.text
+    assert Unclosable.tried == 2  # the other copy has been tried, too
 
 
 def given(observation=None, reward=0.0, at=1):
@@ -151,6 +155,31 @@ def given(observation=None, reward=0.0, at=1):
 def test_an_observation_that_is_none_of_the_space_is_refused(observation, said, at, play_gymnasium):
     with pytest.raises(SimulationError, match=said):
         run(play_gymnasium(given(observation, at=at)))
+
+
+@pytest.mark.parametrize("at", [0, 1])
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.filterwarnings("ignore:.*(Received the following error|Traceback|Raising the last)")
+def test_an_observation_of_another_shape_is_named_with_both(mode, at, play_gymnasium):
+    with pytest.raises(SimulationError) as caught:
+        run(play_gymnasium(given({"eye": np.zeros(3, np.float32)}, at=at), mode=mode))
+    when = "step" if at else "reset"
+    assert str(caught.value) == (
+        f"Mine0-v0 failed in a {when} (ValueError: eye of shape (3,) came, but (2, 2) was expected)."
+    )
+
+
+def test_copies_of_different_spaces_are_refused(play_gymnasium):
+    class Growing(Count):
+        made = 0
+
+        def __init__(self):
+            super().__init__()
+            Growing.made += 1
+            self.action_space = spaces.Discrete(Growing.made)
+
+    with pytest.raises(SimulationError, match="Copy 1 of the environment has other spaces than copy 0, but"):
+        play_gymnasium(Growing)
 
 
 @pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf, 1e300, None])

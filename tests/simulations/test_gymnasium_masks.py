@@ -69,7 +69,7 @@ def test_a_mask_is_of_its_own_copy_and_its_running_episode(play_gymnasium):
             return {"action_mask": mask}
 
     simulation = play_gymnasium(ByStep)
-    simulation._envs.envs[1].unwrapped.length = 2
+    simulation._copies.envs[1].unwrapped.length = 2
     assert np.argmax(only(simulation.reset()).masks[0], axis=1).tolist() == [0, 0]
     assert np.argmax(answer(simulation)[1].masks[0], axis=1).tolist() == [1, 1]
     ended, asking = answer(simulation)
@@ -101,6 +101,19 @@ def test_a_mask_without_choices_says_nothing(play_gymnasium):
             return {"action_mask": np.ones(2)}
 
     assert only(play_gymnasium(NoChoice).reset()).masks == ()
+
+
+def test_a_mask_that_forbids_everything_is_refused_but_at_the_end(play_gymnasium):
+    class Stuck(Count):
+        def info(self):
+            return {"action_mask": np.full(3, self.seen[1] != 1)}
+
+    simulation = play_gymnasium(Stuck, arguments={"length": 1})
+    simulation.reset()
+    answer(simulation)
+    simulation._copies.envs[1].unwrapped.length = 2
+    with pytest.raises(SimulationError, match=r"Mine0-v0 gave agent 1 an action_mask that forbids every .* branch 0"):
+        answer(simulation)
 
 
 @pytest.mark.parametrize("mask", [np.ones(4), 1, {"a": [1]}, "everything"])

@@ -15,7 +15,7 @@ from corridor_server.simulations.simulation import SimulationError
 
 
 def in_envs(simulation, name):
-    return [getattr(env.unwrapped, name) for env in simulation._envs.envs]
+    return [getattr(env.unwrapped, name) for env in simulation._copies.envs]
 
 
 def test_a_declared_attribute_is_set_from_the_next_episode_on(play_gymnasium):
@@ -71,7 +71,7 @@ def test_a_parameter_that_is_set_before_the_first_reset_counts_for_it_in_every_c
     simulation = play_gymnasium("Pendulum-v1", parameters=("g",), mode="async")
     simulation.set_parameter("g", 0.0)
     simulation.reset()
-    assert simulation._envs.get_attr("unwrapped")[0].g == 0
+    assert simulation._copies.vector.get_attr("unwrapped")[0].g == 0
 
 
 def test_a_parameter_begins_even_an_episode_that_began_by_itself_anew(play_gymnasium):
@@ -148,7 +148,7 @@ def test_a_wrapper_with_a_setting_of_its_own_gets_none_of_ours(play_gymnasium, m
     simulation.set_parameter("gravity", 3.0)
     simulation.reset()
     assert in_envs(simulation, "gravity") == [3, 3]
-    assert simulation._envs.get_attr("settings") == ("mine", "mine")
+    assert [env.get_wrapper_attr("settings") for env in simulation._copies.envs] == ["mine", "mine"]
 
 
 def test_a_parameter_that_is_not_declared_is_refused_with_the_nearest(play_gymnasium):

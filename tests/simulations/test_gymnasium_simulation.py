@@ -5,7 +5,8 @@ import os
 import gymnasium
 import numpy as np
 import pytest
-from simulations.counting import Count, answer, only
+from gymnasium import spaces
+from simulations.counting import VECTOR, Count, answer, only
 
 from corridor_server.protocol.agents import ActionBatch
 from corridor_server.simulations.gymnasium_simulation import GymnasiumEnvironment
@@ -41,13 +42,38 @@ def test_the_end_has_the_last_observation_and_reward_and_the_begun_episode_its_f
 
 def test_only_copies_that_ended_begin_anew(play_gymnasium):
     simulation = play_gymnasium()
-    simulation._envs.envs[1].unwrapped.length = 2
+    simulation._copies.envs[1].unwrapped.length = 2
     simulation.reset()
     answer(simulation)
     ended, asking = answer(simulation, discrete=1)
     assert ended.ids.tolist() == [1]
     assert asking.observations[0][:, :2].tolist() == [[1, 2], [2, 0]]
     assert asking.rewards.tolist() == [21, 0]
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_only_copies_that_ended_begin_anew_with_all_parts_of_what_they_observe(mode, play_gymnasium):
+    """In Gymnasium's processes every copy's last observation comes again with those that were reset."""
+
+    class Parts(Count):
+        observation_space = spaces.Tuple([VECTOR, spaces.Dict({"step": spaces.Discrete(9)})])
+
+        def reset(self, *, seed=None, options=None):
+            self.length = self.length if seed is None else 1 + seed  # another in each copy
+            seen, info = super().reset(seed=seed, options=options)
+            return (seen, {"step": 0}), info
+
+        def step(self, action):
+            seen, *rest = super().step(action)
+            return ((seen, {"step": int(seen[1])}), *rest)
+
+    simulation = play_gymnasium(Parts, mode=mode, seed=1, arguments={"ends": "truncated"})
+    simulation.reset()
+    answer(simulation)
+    ended, asking = answer(simulation)
+    assert ended.ids.tolist() == [0]
+    assert [np.argmax(each.observations[1], axis=1).tolist() for each in (ended, asking)] == [[2], [0, 2]]
+    assert asking.observations[0][:, :2].tolist() == [[2, 0], [1, 2]]
 
 
 @pytest.mark.parametrize(("ends", "interrupted"), [("terminated", False), ("truncated", True), ("both", False)])
@@ -71,7 +97,7 @@ def test_a_reset_keeps_an_episode_that_began_by_itself_and_has_not_moved(play_gy
 
 def test_a_reset_in_mid_episode_begins_one_without_an_end_but_where_one_just_began(play_gymnasium):
     simulation = play_gymnasium()
-    simulation._envs.envs[1].unwrapped.length = 1
+    simulation._copies.envs[1].unwrapped.length = 1
     simulation.reset()
     answer(simulation)
     begun = only(simulation.reset())
@@ -88,7 +114,7 @@ def test_a_copys_seed_is_the_trainers_and_its_number_and_only_its_first_reset_ha
     simulation = play_gymnasium(seed=seed, arguments={"length": 1})
     simulation.reset()
     answer(simulation)
-    seeds = [env.unwrapped.seeds for env in simulation._envs.envs]
+    seeds = [env.unwrapped.seeds for env in simulation._copies.envs]
     assert seeds == [[expected[0], None], [expected[1], None]]
 
 
