@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
@@ -92,6 +93,11 @@ class PPOLearner:
     def steps(self) -> int:
         """Transitions so far, over all parts of the run."""
         return self._learned + self.experience.closed
+
+    @property
+    def is_curious(self) -> bool:
+        """Whether it learns from a reward of its own making, too."""
+        return any(signal.module is not None for signal in self._signals)
 
     @property
     def is_done(self) -> bool:
@@ -296,15 +302,15 @@ class PPOLearner:
         return stacked.mean(axis=1), stacked + transitions.decided.values
 
     def _learn_signals(self, transitions: Transitions) -> None:
-        columns = _columns(transitions)
+        seen, continuous, discrete, then = _columns(transitions)
         for signal in self._signals:
             if signal.module is None:
                 continue
             losses = []
-            for rows in minibatches(len(transitions), self._own.batch_size, self._generator):
-                observations, continuous, discrete, following = columns
-                seen, then = (tuple(each[rows] for each in part) for part in (observations, following))
-                losses.append(signal.module.learn(seen, continuous[rows], discrete[rows], then))
+            for indices in minibatches(len(transitions), self._own.batch_size, self._generator):
+                rows = torch.from_numpy(indices)
+                before, after = ([each[rows] for each in part] for part in (seen, then))
+                losses.append(signal.module.learn(before, continuous[rows], discrete[rows], after))
             for name in losses[0]:
                 self.metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
 
@@ -316,12 +322,11 @@ class PPOLearner:
             )
 
 
-def _columns(
-    transitions: Transitions,
-) -> tuple[tuple[Singles, ...], Singles, NDArray[np.int64], tuple[Singles, ...]]:
+def _columns(transitions: Transitions) -> tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]:
     """Of what an intrinsic reward is made."""
-    decided = transitions.decided
-    return transitions.observed.observations, decided.continuous, decided.discrete, transitions.next_observations
+    decided, seen = transitions.decided, transitions.observed.observations
+    continuous, discrete = tensors((decided.continuous, decided.discrete))
+    return tensors(seen), continuous, discrete, tensors(transitions.next_observations)
 
 
 def part_of(state: Mapping[str, Any], part: str) -> dict[str, Any]:

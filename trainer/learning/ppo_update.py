@@ -134,7 +134,7 @@ class PPOUpdate:
         mean_entropy = entropy.mean()
         loss = policy_loss + VALUE_WEIGHT * value_loss - beta * mean_entropy
         self._optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         self._optimizer.step()
         with torch.no_grad():
             clipped = ((ratio - 1).abs() > epsilon).float().mean()

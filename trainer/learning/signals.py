@@ -1,14 +1,13 @@
 """The rewards that a behavior is learned from: the environment's, and those that are learned with it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior
 from trainer.behavior_settings import BehaviorSettings
-from trainer.learning.reward_signals import CuriosityModule, NoveltyModule
+from trainer.learning.reward_signals import CuriosityModule, RNDModule
 from trainer.learning.transitions import Singles
 
 
@@ -17,19 +16,21 @@ class IntrinsicReward(Protocol):
 
     def reward(
         self,
-        observations: tuple[Singles, ...],
-        continuous: Singles,
-        discrete: NDArray[np.int64],
-        next_observations: tuple[Singles, ...],
+        observations: Sequence[Tensor],
+        continuous: Tensor,
+        discrete: Tensor,
+        next_observations: Sequence[Tensor],
+        /,
     ) -> Singles:
         """Of n transitions, (n,) float32, before its strength."""
 
     def learn(
         self,
-        observations: tuple[Singles, ...],
-        continuous: Singles,
-        discrete: NDArray[np.int64],
-        next_observations: tuple[Singles, ...],
+        observations: Sequence[Tensor],
+        continuous: Tensor,
+        discrete: Tensor,
+        next_observations: Sequence[Tensor],
+        /,
     ) -> dict[str, float]:
         """One gradient step on a minibatch; its losses by name."""
 
@@ -64,20 +65,32 @@ def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> 
         settings: How it is trained.
         seed: Of the networks' initial weights.
     """
-    asked, found = settings.reward_signals, []
+    asked, found = settings.reward_signals, list[Signal]()
     if asked.extrinsic is not None:
         found.append(Signal("extrinsic", asked.extrinsic.strength, asked.extrinsic.gamma))
-    for name, signal, kind in (("curiosity", asked.curiosity, CuriosityModule), ("rnd", asked.rnd, NoveltyModule)):
-        if signal is not None:
-            network = signal.network_settings
-            module = kind(
-                behavior,
-                strength=signal.strength,
-                learning_rate=signal.learning_rate,
-                hidden_units=network.hidden_units,
-                num_layers=network.num_layers,
-                vis_encode_type=network.vis_encode_type,
-                seed=seed,
-            )
-            found.append(Signal(name, signal.strength, signal.gamma, module))
+    if asked.curiosity is not None:
+        signal, network = asked.curiosity, asked.curiosity.network_settings
+        curiosity = CuriosityModule(
+            behavior,
+            strength=signal.strength,
+            learning_rate=signal.learning_rate,
+            hidden_units=network.hidden_units,
+            num_layers=network.num_layers,
+            vis_encode_type=network.vis_encode_type,
+            goal_conditioning_type=network.goal_conditioning_type,
+            seed=seed,
+        )
+        found.append(Signal("curiosity", signal.strength, signal.gamma, curiosity))
+    if asked.rnd is not None:
+        signal, network = asked.rnd, asked.rnd.network_settings
+        novelty = RNDModule(
+            behavior,
+            learning_rate=signal.learning_rate,
+            hidden_units=network.hidden_units,
+            num_layers=network.num_layers,
+            vis_encode_type=network.vis_encode_type,
+            goal_conditioning_type=network.goal_conditioning_type,
+            seed=seed,
+        )
+        found.append(Signal("rnd", signal.strength, signal.gamma, novelty))
     return tuple(found)

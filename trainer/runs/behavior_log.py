@@ -31,7 +31,15 @@ class BehaviorLog:
         """What a person sees of it."""
         returns, lengths, _ = _means(learner)
         intrinsic = learner.metrics.get("rollout/intrinsic_reward")
-        return Snapshot(learner.steps, returns, None, lengths, intrinsic)
+        return Snapshot(
+            learner.steps,
+            returns,
+            None,
+            lengths,
+            intrinsic,
+            reports_success=False,
+            is_curious=learner.is_curious,
+        )
 
     def is_due(self, learner: PPOLearner) -> bool:
         """Whether it is time for a row."""

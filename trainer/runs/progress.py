@@ -15,7 +15,8 @@ LINES = 15  # printed over a whole run where there is no terminal
 class Snapshot:
     """A run at one moment; means are over the last episodes, None before there are any.
 
-    The success rate is None, too, if the player has not reported success for ``unknown`` of the last ``episodes``.
+    The success rate is None, too, if the player has not reported success for ``unknown`` of the last ``episodes``; what
+    the run is not about is left out.
     """
 
     steps: int
@@ -25,15 +26,21 @@ class Snapshot:
     intrinsic_reward: float | None
     unknown: int = 0
     episodes: int = 0
+    reports_success: bool = True
+    is_curious: bool = True
 
     def text(self) -> str:
         """Return, success rate, episode length and intrinsic reward."""
         some = 0 < self.unknown < self.episodes
         success = f"unknown for {self.unknown} of {self.episodes}" if some else _number(self.success_rate, ".0%")
-        return (
-            f"return {_number(self.mean_return, '+.2f')}  success {success}  "
-            f"length {_number(self.mean_length, '.0f')}  curiosity {_number(self.intrinsic_reward, '.5f')}"
-        )
+        known = some or self.success_rate is not None or self.reports_success
+        parts = [
+            f"return {_number(self.mean_return, '+.2f')}",
+            f"success {success}" if known else None,
+            f"length {_number(self.mean_length, '.0f')}",
+            f"curiosity {_number(self.intrinsic_reward, '.5f')}" if self.is_curious else None,
+        ]
+        return "  ".join(part for part in parts if part is not None)
 
 
 class _SpeedColumn(ProgressColumn):
