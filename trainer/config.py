@@ -9,7 +9,7 @@ from corridor_server.shared.addresses import LOOPBACK, parse_host
 from corridor_server.shared.given import Range, shown
 from trainer.corridor import CORRIDOR, DEFAULT_PENALTY, check_areas
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Port, Seconds, Seed, Steps
+from trainer.options import Count, Options, Port, Positive, Ratio, Seconds, Seed, Settings, Share, Steps, Units
 
 PAPER_STEPS = 1_500_000
 BASE_PORT = 5005  # mlagents-learn's
@@ -19,23 +19,12 @@ Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
 Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
 Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]
-Positive = Annotated[float, Range(0, 10**9)]
-Share = Annotated[float, Range(0, 1)]
-Ratio = Annotated[float, Range(0, 1000)]
-Units = Annotated[int, Range(1, 4096)]  # two layers of 65,536 each would take 17 GB, once per network and moment
 NAME_BYTES = 200  # file systems have 255, of which some are for what is written beside it first
 
 
 def is_name(text: str) -> bool:
     """Whether a text can be one file's or folder's name, wherever it is put: no path, not too long."""
     return bool(re.fullmatch(r"[\w.+-]*\w[\w.+-]*", text)) and len(text.encode()) <= NAME_BYTES
-
-
-class Settings(Options):
-    """Base of what a run's ``configuration.yaml`` records, and is read back from."""
-
-    def _given(self, name: str, value: Any) -> str:
-        return f"The setting {name} is {shown(value)}"
 
 
 @dataclass(frozen=True)
