@@ -11,6 +11,7 @@ A field says everything about itself; the string below it is the help that the c
 import difflib
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -33,6 +34,13 @@ Seconds = Annotated[
     Range(math.ulp(0.0), otherwise="seconds above 0 were expected"),
     Range(high=10**9, otherwise="at most 1,000,000,000 seconds were expected"),
 ]
+
+NAME_BYTES = 200  # file systems have 255, of which some are for what is written beside it first
+
+
+def is_name(text: str) -> bool:
+    """Whether a text can be one file's or folder's name, wherever it is put: no path, not too long."""
+    return bool(re.fullmatch(r"[\w.+-]*\w[\w.+-]*", text)) and len(text.encode()) <= NAME_BYTES
 
 
 class Options:

@@ -15,10 +15,9 @@ from trainer.behavior_settings import (
     RewardSignals,
     RNDSignal,
     SACHyperparameters,
-    read_behaviors,
-    settings_for,
 )
 from trainer.errors import SettingError, TrainerError
+from trainer.listed_behaviors import read_behaviors, settings_for
 
 
 def test_the_defaults_are_those_of_mlagents():
@@ -238,7 +237,7 @@ def test_a_behavior_has_its_own_settings_or_the_default_ones_or_mlagents():
 
 
 KNOWN = (BehaviorSettings(), PPOHyperparameters(), SACHyperparameters(), CuriositySignal(), NetworkSettings())
-OTHERS = "curiosity rnd extrinsic gail memory encoding_size threaded self_play sac ppo linear".split()
+OTHERS = ["curiosity", "rnd", "extrinsic", "gail", "memory", "encoding_size", "threaded", "self_play", "linear"]
 NAMES = st.sampled_from([*(name for settings in KNOWN for name in settings.as_dict()), *OTHERS])
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | NAMES,
