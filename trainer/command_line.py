@@ -20,6 +20,7 @@ from trainer.signals import INTERRUPTED
 from trainer.terminal import Terminal
 
 ENV_ARGS = "--env-args"
+MARKERS = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
 
 Command = (
     Annotated[Train, subcommand("train")]
@@ -41,10 +42,10 @@ def run_command(arguments: list[str]) -> int:
         arguments, env_args = arguments[:at], arguments[at + 1 :]
     console = Terminal(stderr=True)
     try:
-        command = tyro.cli(
-            Command, prog="corridor", args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-        )
-        if isinstance(command, Train | Check):
+        command = tyro.cli(Command, prog="corridor", args=arguments, config=MARKERS)
+        if isinstance(command, Train) and (over := command.over_its_file()) is not None:
+            command = tyro.cli(Train, prog="corridor train", args=arguments[1:], default=over, config=MARKERS)
+        if given and isinstance(command, Train | Check):
             command = dataclasses.replace(command, env_args=tuple(env_args))
         elif given:
             raise TrainerError(

@@ -1,15 +1,32 @@
 """Everything that decides a run: presets, hyperparameters, and the record that ``configuration.yaml`` keeps."""
 
 import dataclasses
-import re
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from corridor_server.shared.addresses import LOOPBACK, parse_host
 from corridor_server.shared.given import Range, shown
-from trainer.corridor import CORRIDOR, DEFAULT_PENALTY, check_areas
+from trainer.behavior_settings import BehaviorSettings
+from trainer.corridor import check_areas
+from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
-from trainer.options import Count, Options, Port, Seconds, Seed, Steps
+from trainer.listed_behaviors import check_behaviors, read_behaviors, settings_for
+from trainer.options import (
+    NAME_BYTES,
+    Count,
+    Options,
+    Port,
+    Positive,
+    Ratio,
+    Seconds,
+    Seed,
+    Settings,
+    Share,
+    Steps,
+    Units,
+    is_name,
+)
 
 PAPER_STEPS = 1_500_000
 BASE_PORT = 5005  # mlagents-learn's
@@ -18,24 +35,8 @@ PresetName = Literal["fast", "paper"]
 Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
 Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
+Device = Literal["auto", "cpu", "cuda"]
 Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]
-Positive = Annotated[float, Range(0, 10**9)]
-Share = Annotated[float, Range(0, 1)]
-Ratio = Annotated[float, Range(0, 1000)]
-Units = Annotated[int, Range(1, 4096)]  # two layers of 65,536 each would take 17 GB, once per network and moment
-NAME_BYTES = 200  # file systems have 255, of which some are for what is written beside it first
-
-
-def is_name(text: str) -> bool:
-    """Whether a text can be one file's or folder's name, wherever it is put: no path, not too long."""
-    return bool(re.fullmatch(r"[\w.+-]*\w[\w.+-]*", text)) and len(text.encode()) <= NAME_BYTES
-
-
-class Settings(Options):
-    """Base of what a run's ``configuration.yaml`` records, and is read back from."""
-
-    def _given(self, name: str, value: Any) -> str:
-        return f"The setting {name} is {shown(value)}"
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ OTHERS: dict[Algorithm, type[OtherConfig]] = {"a2c": A2CConfig, "trpo": TRPOConf
 
 
 @dataclass(frozen=True)
-class EngineConfig(Options):
+class EngineConfig(Settings):
     """Unity's engine settings, with the defaults of mlagents-learn; our corridor has no engine and ignores them.
 
     Attributes:
@@ -175,6 +176,9 @@ class EngineConfig(Options):
         capture_frame_rate: Unity's capture frame rate.
     """
 
+    SECTION: ClassVar = "engine_settings"
+    NO_EFFECT: ClassVar = {"no_graphics": bool}  # for an engine; a build is launched accordingly
+    NOT_HERE: ClassVar = {"no_graphics_monitor": "either all players render or none; take no_graphics_monitor out"}
     width: Annotated[int, Range(1, 16384)] = 84
     height: Annotated[int, Range(1, 16384)] = 84
     quality_level: Annotated[int, Range(0, 100)] = 5
@@ -262,8 +266,12 @@ class RunConfig(Settings):
         env_args: A launched player's own arguments.
         graphics: Whether a launched build opens a window and renders.
         engine: Unity's engine settings.
-        environment_parameters: Names and values or samplers, in the form of ``mlagents-learn``'s YAML.
+        environment_parameters: Names and values, samplers or curricula, in the form of ``mlagents-learn``'s YAML.
         preset_parameters: Those of them that nobody gave: the preset's corridor, which is for a corridor alone.
+        preset_given: Whether the preset was asked for; if not, behaviors' settings may stand in its place.
+        behaviors: How each behavior is trained, by its name without its team, in the form of that YAML.
+        default_settings: The same of those that are not listed; None if there is no such section.
+        device: Where networks compute; ``auto`` is a GPU where PyTorch sees one.
 
     Raises:
         TrainerError: A setting is of another type or out of its range, the run id is no folder's name, or the player
@@ -289,6 +297,10 @@ class RunConfig(Settings):
     other: OtherConfig | None = None
     from_sb3: str | None = None
     preset_parameters: list[str] = dataclasses.field(default_factory=list, compare=False)  # it follows from the rest
+    preset_given: bool = dataclasses.field(default=False, compare=False)
+    behaviors: dict[str, Any] = dataclasses.field(default_factory=dict)
+    default_settings: dict[str, Any] | None = None
+    device: Device = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -304,6 +316,25 @@ class RunConfig(Settings):
                 f"--time-scale is {self.engine.time_scale:g}, but the Unity editor takes at most {EDITOR_TIME_SCALE}; "
                 "lower it, or train on a build."
             )
+        read_behaviors(self.behaviors, self.default_settings)
+        Curricula(self.environment_parameters)
+
+    def settings_for(self, behavior: str) -> BehaviorSettings:
+        """How a behavior, with or without its team, is trained; see the function of that name for what is refused."""
+        return settings_for(behavior, *read_behaviors(self.behaviors, self.default_settings))
+
+    def check_behaviors(self, found: Iterable[str]) -> None:
+        """Refuses an environment whose behaviors are not those that settings and lessons are for.
+
+        Args:
+            found: Its behaviors, with or without their teams.
+
+        Raises:
+            TrainerError: One is not listed, or one that is listed or that a lesson waits for is not there.
+        """
+        names = [each.partition("?")[0] for each in found]
+        check_behaviors(names, *read_behaviors(self.behaviors, self.default_settings))
+        Curricula(self.environment_parameters).check_behaviors(names)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""
@@ -328,65 +359,3 @@ class RunConfig(Settings):
         kind = OTHERS.get(values["algo"])
         other = None if kind is None else kind(**values["other"])
         return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine, "other": other})
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A way to train: how many areas, over which path, with which hyperparameters."""
-
-    num_areas: int
-    through_gym: bool
-    ppo: PPOConfig
-    curiosity: CuriosityConfig
-
-
-PRESETS: dict[PresetName, Preset] = {
-    "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
-    # of fast's steps in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had
-    # (docs/studies.md).
-    "paper": Preset(
-        num_areas=1,
-        through_gym=True,
-        ppo=PPOConfig(n_steps=128, minibatches=4, learning_rate=1e-4),
-        curiosity=CuriosityConfig(feature_size=16, minibatches=4, scale=4.0, rnd_scale=2.4),
-    ),
-}
-
-
-def preset_run(
-    run_id: str,
-    preset: PresetName,
-    *,
-    c: float,
-    seed: int,
-    steps: int,
-    env: str = "builtin",
-    algo: Algorithm = "ppo",
-    penalty: float = DEFAULT_PENALTY,
-    num_areas: int | None = None,
-    intrinsic: Intrinsic = "icm",
-    environment_parameters: dict[str, Any] | None = None,
-    **others: Any,
-) -> RunConfig:
-    """A run with a preset's hyperparameters and corridor, but for what is given; others are RunConfig's."""
-    chosen, given = PRESETS[preset], environment_parameters or {}
-    both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
-    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
-    return RunConfig(
-        run_id=run_id,
-        env=env,
-        preset=preset,
-        algo=algo,
-        seed=seed,
-        penalty=penalty,
-        steps=steps,
-        num_areas=chosen.num_areas if num_areas is None else num_areas,
-        through_gym=chosen.through_gym,
-        ppo=chosen.ppo,
-        curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
-        other=OTHERS[algo]() if algo in OTHERS else None,
-        environment_parameters={**corridor, **given},
-        preset_parameters=[name for name in corridor if name not in given],
-        **others,
-    )

@@ -103,6 +103,15 @@ def read_mapping(path: Path) -> dict[Any, Any]:
     Raises:
         ValueError: The file can't be read, is not YAML, or holds something else; the message is a sentence.
     """
+    return mapping_of(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """A file of settings.
+
+    Raises:
+        ValueError: The file can't be read, or is too large to be one; the message is a sentence.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(FILE_LIMIT + 1)
@@ -111,6 +120,15 @@ def read_mapping(path: Path) -> dict[Any, Any]:
         raise ValueError(f"{path} can't be read ({getattr(error, 'strerror', None) or error}).") from error
     if len(data) > FILE_LIMIT:
         raise ValueError(f"{path} has more than {FILE_LIMIT:,} bytes, which no file of settings needs.")
+    return text
+
+
+def mapping_of(text: str, path: Path) -> dict[Any, Any]:
+    """The names and values that a file's text says; none if it says nothing.
+
+    Raises:
+        ValueError: It is not YAML, or says something else; the message is a sentence.
+    """
     values = _parsed(text, path)
     if values is None:
         return {}

@@ -22,8 +22,8 @@ from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.errors import TrainerError
 from trainer.players.opening import open_environment
+from trainer.run_options import RunOptions
 from trainer.runs.folder import RunFolder
-from trainer.settings_file import environment_parameters, read_settings
 from trainer.terminal import Terminal
 
 
@@ -37,7 +37,7 @@ def test_every_entry_takes_anything_or_says_why_not():
 def test_a_parameter_is_a_number_of_any_kind(value):
     assert CorridorEnv(opponent_speed=value).config.opponent_speed == 2.0
     assert type(CorridorEnv(opponent_speed=value).config.opponent_speed) is float
-    assert environment_parameters((), {"goal_x": value}, True) == {"goal_x": value}
+    assert RunOptions(environment_parameters={"goal_x": value}).parameters((), True) == {"goal_x": value}
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_value_of_a_file_that_yaml_itself_cant_read_or_nobody_can_write(tmp_pa
     path = tmp_path / "settings.yaml"
     path.write_text(f"environment_parameters:\n  opponent_speed: {text}\n")
     with pytest.raises(TrainerError) as refused:
-        environment_parameters((), read_settings(path)[1], True)
+        RunOptions.read(path).parameters((), True)
     assert len(str(refused.value)) < 700
     path.write_text(f"opponent_speed: {text}\n")
     with pytest.raises(ValueError, match="settings.yaml"):
@@ -66,8 +66,8 @@ def test_a_value_of_a_file_that_yaml_itself_cant_read_or_nobody_can_write(tmp_pa
 def test_a_file_that_refers_to_itself_a_billion_times_is_shown_short(tmp_path):
     lines = ["a0: &a0 [x]", *(f"a{n + 1}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]" for n in range(12))]
     (tmp_path / "bomb.yaml").write_text("\n".join(lines))
-    with pytest.raises(TrainerError, match="has the section 'a0'"):
-        read_settings(tmp_path / "bomb.yaml")
+    with pytest.raises(TrainerError, match="There is no section 'a0'"):
+        RunOptions.read(tmp_path / "bomb.yaml")
     itself: list[object] = []
     itself.append(itself)
     assert len(shown([itself] * 100)) < 500

@@ -10,11 +10,12 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, DDPG
 from stable_baselines3.common.env_util import make_vec_env
 
-from trainer.config import CuriosityConfig, DDPGConfig, RunConfig, preset_run
+from trainer.config import CuriosityConfig, DDPGConfig, RunConfig
 from trainer.errors import TrainerError
 from trainer.learning.rnd import RandomNetworkDistillation
 from trainer.learning.stages import Stages, build_stages
 from trainer.main import main
+from trainer.presets import preset_run
 
 BOX = spaces.Box(-1, 1, (2,), np.float32)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from trainer.config import preset_run
+from trainer.presets import preset_run
 from trainer.studies.claims import CLAIMS
 from trainer.studies.results import RunResult, curves, scores, steps_to
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from corridor_server.corridor.corridor_config import CorridorConfig
-from trainer.config import preset_run
 from trainer.corridor import CORRIDOR
 from trainer.main import main
+from trainer.presets import preset_run
 from trainer.runs.folder import RunFolder
 from trainer.studies import generalise
 from trainer.studies.generalise import Change, nearest, panels, play

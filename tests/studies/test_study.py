@@ -13,8 +13,8 @@ import pytest
 from conftest import BIN
 from recorded_run import begun_run
 
-from trainer.config import PRESETS
 from trainer.main import main
+from trainer.presets import PRESETS
 from trainer.studies.conduct import run_study
 from trainer.studies.executors import Attempt, LocalExecutor, Task
 from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, STUDIES, Arm, Study

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder
 
 RESULTS = Path("results")
+PRESET: PresetName = "fast"
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
 Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]
 
@@ -34,10 +35,10 @@ def check_file(path: Path, option: str) -> None:
 class TrainingOptions(Options):
     """How, and how long, a run trains."""
 
-    preset: PresetName = "fast"
+    preset: Annotated[PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET})")] = None
     """fast: many areas through one player; paper: one area through UnityToGymWrapper, as the paper did."""
-    steps: Count = PAPER_STEPS
-    """Agent steps to train for."""
+    steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS})")] = None
+    """Agent steps to train for; over a file's max_steps."""
     eval_episodes: Count = 200
     """Episodes of the evaluation at the end."""
 

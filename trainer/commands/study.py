@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import RESULTS, TrainingOptions
-from trainer.config import ExecutorName, WaitOptions
+from trainer.commands.shared_options import PRESET, RESULTS, TrainingOptions
+from trainer.config import PAPER_STEPS, ExecutorName, WaitOptions
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
 from trainer.terminal import Terminal
@@ -69,9 +69,9 @@ class StudyOptions(Options):
                 studies[self.name],
                 executor,
                 store,
-                preset=self.training.preset,
+                preset=self.training.preset or PRESET,
                 seeds=range(self.first_seed, self.first_seed + self.seeds),
-                steps=self.training.steps,
+                steps=self.training.steps or PAPER_STEPS,
                 episodes=self.training.eval_episodes,
                 timeout_wait=self.connection.timeout_wait,
                 command=typed,

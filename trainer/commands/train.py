@@ -8,20 +8,22 @@ from typing import Annotated, Any, TypedDict, cast, get_type_hints
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import RESULTS, ResultsDir, TrainingOptions
+from trainer.commands.shared_options import PRESET, RESULTS, ResultsDir, TrainingOptions
 from trainer.config import (
-    PRESETS,
+    PAPER_STEPS,
     Algorithm,
     ConnectionOptions,
+    Device,
     EngineConfig,
     Intrinsic,
     RestartLimits,
     RunConfig,
-    preset_run,
 )
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
 from trainer.options import Count, Options, Seed, env_args_of_another
+from trainer.presets import PRESETS, preset_run
+from trainer.run_options import RunOptions
 from trainer.signals import INTERRUPTED
 
 
@@ -41,8 +43,12 @@ def _flags_of(config: type[EngineConfig]) -> Any:
 class Train(Options):
     """Train an agent on an ML-Agents environment, then evaluate it."""
 
-    run_id: str
+    run_id: Annotated[str | None, tyro.conf.arg(help_behavior_hint="(required, here or in the file)")] = None
     """Name of the run; its results go to RESULTS_DIR/RUN_ID."""
+    file: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CONFIG.yaml]", help_behavior_hint="")
+    ] = None
+    """mlagents-learn's YAML; flags win over it, and it over the preset."""
     env: str = "builtin"
     """builtin (our corridor), editor (the Unity editor, port 5004), a build's path, or HOST:PORT to listen on."""
     c: Annotated[float, Range(0, 1000)] = 0.3
@@ -67,7 +73,9 @@ class Train(Options):
     penalty: Annotated[float, Range(0, 1000)] = DEFAULT_PENALTY
     """Subtracted from the reward when an episode fails; 0 for the paper's case study B."""
     config: Path | None = None
-    """YAML file with engine_settings and environment_parameters, as mlagents-learn's."""
+    """Another way to give CONFIG.yaml."""
+    device: Device = "auto"
+    """Where networks compute; auto: a GPU where PyTorch sees one."""
     graphics: bool = False
     """Launched builds open a window and render, which a scene with a camera needs."""
     no_graphics: bool = False
@@ -82,6 +90,8 @@ class Train(Options):
     engine: Annotated[Mapping[str, float], tyro.conf.arg(constructor=_flags_of(EngineConfig))] = field(
         default_factory=dict
     )
+    said: Annotated[RunOptions | None, tyro.conf.Fixed, tyro.conf.Suppress] = None
+    """What the file says, once it has been read and flags stand over it."""
 
     def __post_init__(self) -> None:
         """Refuses values out of their range, and options that contradict each other.
@@ -90,7 +100,9 @@ class Train(Options):
             TrainerError: The first of them.
         """
         super().__post_init__()
-        base_port, preset = self.connection.base_port, self.training.preset
+        base_port, preset = self.connection.base_port, self.training.preset or PRESET
+        if self.file is not None and self.config is not None:
+            raise TrainerError(f"{self.file} and --config {self.config} are two files; give one of them.")
         if base_port + self.num_envs - 1 > 65535:
             raise TrainerError(f"--base-port is {base_port}, but ports end at 65535.")
         for name, count in (("num-areas", self.num_areas), ("num-envs", self.num_envs)):
@@ -109,24 +121,63 @@ class Train(Options):
             raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
         if self.c == 0 and self.intrinsic != "icm":
             raise TrainerError(f"--intrinsic {self.intrinsic} has no effect with --c 0, base PPO; leave it out.")
-        if self.algo == "ddpg" and self.resume:
-            raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
+
+    def over_its_file(self) -> "Train | None":
+        """A command whose values are those of this one's file, where it has any, for flags to stand over.
+
+        Returns:
+            The command; None without a file.
+
+        Raises:
+            TrainerError: The file can't be used.
+        """
+        said = self._read()
+        if said is None:
+            return None
+        env, checkpoints = said.env_settings.as_dict(), said.checkpoint_settings.as_dict()
+        connection, restarts = ("timeout_wait", "base_port"), [each.name for each in fields(RestartLimits)]
+        values: dict[str, Any] = {name: env[name] for name in ("num_envs", "num_areas", "seed") if name in env}
+        if "env_path" in env:
+            values["env"] = env["env_path"]
+        if "results_dir" in checkpoints:
+            values["results_dir"] = Path(checkpoints["results_dir"])
+        return Train(
+            said=said,
+            run_id=checkpoints.get("run_id"),
+            device=said.torch_settings.device or "auto",
+            env_args=tuple(env.get("env_args", ())),
+            connection=ConnectionOptions(**{name: env[name] for name in connection if name in env}),
+            restarts=RestartLimits(**{name: env[name] for name in restarts if name in env}),
+            **values,
+        )
+
+    def _read(self) -> RunOptions | None:
+        path = self.config if self.file is None else self.file
+        return None if path is None else RunOptions.read(path)
+
+    def resumes_or_overwrites(self) -> tuple[bool, bool]:
+        """Whether an existing run is continued, and whether it is overwritten: by flags, else by the file."""
+        if self.resume or self.force or self.said is None:
+            return self.resume, self.force
+        return bool(self.said.checkpoint_settings.resume), bool(self.said.checkpoint_settings.force)
 
     def run_config(self) -> RunConfig:
         """The run that these options ask for.
 
         Raises:
-            TrainerError: The file can't be used, or an engine setting or environment parameter can't be set.
+            TrainerError: There is no run id, the file can't be used, or an environment parameter can't be set.
         """
-        from trainer.settings_file import engine_config, environment_parameters, read_settings
-
-        engine, parameters = read_settings(self.config)
+        if self.run_id is None:
+            raise TrainerError("The run has no name; give it one with --run-id.")
+        said, ours = self.said or self._read() or RunOptions(), self.env == "builtin"
+        engine: dict[str, Any] = dict(self.engine)
+        behaviors, default = said.trained_for(self.training.steps)
         config = preset_run(
             self.run_id,
-            self.training.preset,
+            self.training.preset or PRESET,
             c=self.c,
             seed=self.seed,
-            steps=self.training.steps,
+            steps=self.training.steps or said.max_steps or PAPER_STEPS,
             env=self.env,
             algo=self.algo,
             penalty=self.penalty,
@@ -135,13 +186,22 @@ class Train(Options):
             from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
             num_envs=self.num_envs,
             env_args=list(self.env_args),
-            graphics=self.graphics,
-            engine=engine_config({**engine, **self.engine}),
-            environment_parameters=environment_parameters(self.env_param, parameters, self.env == "builtin"),
+            graphics=self.graphics or (bool(said.graphics) and not self.no_graphics and self._is_build()),
+            engine=EngineConfig(**{**said.engine_settings, **engine}),
+            environment_parameters=said.parameters(self.env_param, ours),
+            preset_given=self.training.preset is not None,
+            behaviors=behaviors,
+            default_settings=default,
+            device=self.device,
         )
-        if self.env == "builtin":
+        if ours:
             check_ranges(config.environment_parameters)
         return config
+
+    def _is_build(self) -> bool:
+        from trainer.players.location import can_be_launched
+
+        return self.env != "builtin" and can_be_launched(self.env)
 
     def check_effects(self, launched: bool) -> None:
         """Refuses options that have no effect on such players.
@@ -165,17 +225,22 @@ class Train(Options):
     def run(self, typed: str) -> int:
         """Trains and evaluates."""
         config = self.run_config()
+        from trainer.learning.device import check_device
         from trainer.players.location import can_be_launched, check_launchable
 
         check_launchable(config.env)  # a bad player or file is refused before a folder is made
         self.check_effects(can_be_launched(config.env))
-        if self.from_sb3 is not None and not self.resume:
+        check_device(config.device)
+        resume, force = self.resumes_or_overwrites()
+        if self.algo == "ddpg" and resume:
+            raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
+        if self.from_sb3 is not None and not resume:
             from trainer.learning.sb3_zip import read_sb3_policy
 
             read_sb3_policy(self.from_sb3)
         from trainer.runs.folder import RunFolder
 
-        with RunFolder.claim(config, self.results_dir, resume=self.resume, force=self.force) as (folder, draft):
+        with RunFolder.claim(config, self.results_dir, resume=resume, force=force) as (folder, draft):
             from trainer.runs.run import train_run
 
             finished = train_run(
@@ -184,7 +249,7 @@ class Train(Options):
                 draft,
                 self.connection,
                 episodes=self.training.eval_episodes,
-                resumed=self.resume,
+                resumed=resume,
                 limits=self.restarts,
             )
         return 0 if finished else INTERRUPTED

@@ -11,13 +11,16 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from trainer.config import RunConfig
 from trainer.corridor import PENALTY
+from trainer.curriculum import Curricula
+from trainer.parameter_values import parse_parameter
 from trainer.players.location import BUILTIN
 from trainer.seeds import sampler_seed
-from trainer.settings_file import parse_parameter
 
 
 def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     """Engine settings and environment parameters: what carries a run's settings to one player with its first reset.
+
+    Of a curriculum, that is its first lesson.
 
     What the run has for a corridor alone, the penalty and the preset's parameters, goes to our own player only: of no
     other is known that early which behavior it has (see ``tell_corridor``).
@@ -31,7 +34,7 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     ours = config.env == BUILTIN
     if ours:
         parameters.set_float_parameter(PENALTY, config.penalty)
-    for index, (name, value) in enumerate(config.environment_parameters.items()):
+    for index, (name, value) in enumerate(Curricula(config.environment_parameters).values().items()):
         if ours or name not in config.preset_parameters:
             _set(parameters, name, value, sampler_seed(seed, index))
     return [engine, parameters]

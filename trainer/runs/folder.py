@@ -14,12 +14,12 @@ from typing import Any
 import yaml
 
 from corridor_server.shared.given import read_mapping, shown
-from trainer.config import RunConfig, is_name
+from trainer.config import RunConfig
 from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
+from trainer.options import is_name
 from trainer.runs.checkpoint import Checkpoint, read_checkpoint
-from trainer.settings_file import parse_parameter
 
 PACKAGES = (
     "curious-corridor",
@@ -34,9 +34,10 @@ PACKAGES = (
 )
 
 # What follows from other settings; runs of before have not recorded it.
-DERIVED = ("preset_parameters",)
+DERIVED = ("preset_parameters", "preset_given")
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
-MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine")
+MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine", "device")
+MAY_CHANGE_OF_A_BEHAVIOR = ("max_steps", "summary_freq", "keep_checkpoints", "checkpoint_interval", "even_checkpoints")
 
 
 class RunFolder:
@@ -115,10 +116,7 @@ class RunFolder:
             TrainerError: ``configuration.yaml`` is missing or broken.
         """
         try:
-            config = RunConfig.from_dict(self._read_record()["run"])
-            for name, value in config.environment_parameters.items():
-                parse_parameter(name, value, 0)
-            return config
+            return RunConfig.from_dict(self._read_record()["run"])
         except (AttributeError, KeyError, TypeError, TrainerError) as error:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
 
@@ -250,7 +248,10 @@ def _differences(one: RunConfig, other: RunConfig) -> dict[str, tuple[Any, Any]]
 
 
 def _may_change(name: str) -> bool:
-    return name.partition(".")[0] in MAY_CHANGE
+    first, _, rest = name.partition(".")
+    if first in ("behaviors", "default_settings"):
+        return rest.rpartition(".")[2] in MAY_CHANGE_OF_A_BEHAVIOR
+    return first in MAY_CHANGE
 
 
 def run_places(run: str, results_dir: Path) -> list[Path]:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from corridor_server.shared.given import Range, read_json, shown
-from trainer.config import is_name
 from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
+from trainer.options import is_name
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.terminal import Terminal

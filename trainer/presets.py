@@ -1,0 +1,70 @@
+"""What a run begins as, before anything else is asked for."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from trainer.config import OTHERS, Algorithm, CuriosityConfig, Intrinsic, PPOConfig, PresetName, RunConfig
+from trainer.corridor import CORRIDOR, DEFAULT_PENALTY
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A way to train: how many areas, over which path, with which hyperparameters."""
+
+    num_areas: int
+    through_gym: bool
+    ppo: PPOConfig
+    curiosity: CuriosityConfig
+
+
+PRESETS: dict[PresetName, Preset] = {
+    "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
+    # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
+    # of fast's steps in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had
+    # (docs/studies.md).
+    "paper": Preset(
+        num_areas=1,
+        through_gym=True,
+        ppo=PPOConfig(n_steps=128, minibatches=4, learning_rate=1e-4),
+        curiosity=CuriosityConfig(feature_size=16, minibatches=4, scale=4.0, rnd_scale=2.4),
+    ),
+}
+
+
+def preset_run(
+    run_id: str,
+    preset: PresetName,
+    *,
+    c: float,
+    seed: int,
+    steps: int,
+    env: str = "builtin",
+    algo: Algorithm = "ppo",
+    penalty: float = DEFAULT_PENALTY,
+    num_areas: int | None = None,
+    intrinsic: Intrinsic = "icm",
+    environment_parameters: dict[str, Any] | None = None,
+    **others: Any,
+) -> RunConfig:
+    """A run with a preset's hyperparameters and corridor, but for what is given; others are RunConfig's."""
+    chosen, given = PRESETS[preset], environment_parameters or {}
+    both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
+    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
+    return RunConfig(
+        run_id=run_id,
+        env=env,
+        preset=preset,
+        algo=algo,
+        seed=seed,
+        penalty=penalty,
+        steps=steps,
+        num_areas=chosen.num_areas if num_areas is None else num_areas,
+        through_gym=chosen.through_gym,
+        ppo=chosen.ppo,
+        curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
+        other=OTHERS[algo]() if algo in OTHERS else None,
+        environment_parameters={**corridor, **given},
+        preset_parameters=[name for name in corridor if name not in given],
+        **others,
+    )

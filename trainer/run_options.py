@@ -1,0 +1,354 @@
+"""The YAML file of ``mlagents-learn``, as ``corridor train`` reads it.
+
+Whatever it says is taken, or refused with the file's name and the line. ``debug`` (more of a log) is taken and left
+out: it changes nothing that is learned. A seed of -1 is none, as in ML-Agents.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from corridor_server.shared.given import mapping_of, read_text, shown
+from trainer.behavior_settings import BehaviorSettings
+from trainer.config import Device, EngineConfig, Restarts
+from trainer.corridor import PENALTY, check_parameter
+from trainer.curriculum import Curricula, read_lessons
+from trainer.errors import SettingError, TrainerError
+from trainer.listed_behaviors import check_behaviors, read_behaviors, settings_for
+from trainer.options import Count, Port, Seconds, Seed, Settings, names_and_values, nearest
+from trainer.parameter_values import NUMBER, parse_parameter
+
+SECTIONS = (
+    "behaviors",
+    "default_settings",
+    "env_settings",
+    "engine_settings",
+    "environment_parameters",
+    "checkpoint_settings",
+    "torch_settings",
+)
+OF_BEFORE = {  # ML-Agents 0.18
+    "parameter_randomization": "samplers stand under environment_parameters",
+    "curriculum": "lessons stand under environment_parameters",
+    "default": "it is called default_settings",
+}
+
+
+@dataclass(frozen=True)
+class EnvSettings(Settings):
+    """Where an environment is and how many there are; None is not said.
+
+    Attributes:
+        env_path: A build's path.
+        env_args: A launched build's own arguments.
+        base_port: Port of the first player.
+        num_envs: Players.
+        num_areas: Training areas in each.
+        seed: Of the run.
+        timeout_wait: Seconds to wait for a player.
+        max_lifetime_restarts: Of one player in the whole run.
+        restarts_rate_limit_n: Of one player in any period.
+        restarts_rate_limit_period_s: The period's length, in seconds.
+    """
+
+    SECTION: ClassVar = "env_settings"
+    env_path: str | None = None
+    env_args: list[str] | None = None
+    base_port: Port | None = None
+    num_envs: Count | None = None
+    num_areas: Count | None = None
+    seed: Seed | None = None
+    timeout_wait: Count | None = None
+    max_lifetime_restarts: Restarts | None = None
+    restarts_rate_limit_n: Restarts | None = None
+    restarts_rate_limit_period_s: Seconds | None = None
+
+    @classmethod
+    def from_mapping(cls, values: object) -> Self:
+        """As of any settings; a seed of -1 is none, and numbers among a build's arguments are texts.
+
+        Raises:
+            SettingError: Something in it can't be used.
+        """
+        given = dict(names_and_values(values, cls.SECTION))
+        if given.get("seed") == -1:
+            del given["seed"]
+        if isinstance(given.get("env_args"), list):
+            given["env_args"] = [str(each) if type(each) in (int, float) else each for each in given["env_args"]]
+        return super().from_mapping(given)
+
+
+@dataclass(frozen=True)
+class CheckpointSettings(Settings):
+    """Which run it is, and where its results go; None is not said.
+
+    Attributes:
+        run_id: The run's name.
+        results_dir: Where runs are kept.
+        resume: Continue an existing run.
+        force: Overwrite an existing run.
+    """
+
+    SECTION: ClassVar = "checkpoint_settings"
+    NO_EFFECT: ClassVar = {"train_model": bool}  # which nothing in ML-Agents reads any more
+    NOT_HERE: ClassVar = {
+        "initialize_from": "name the checkpoint to begin with as init_path of each behavior",
+        "load_model": "write resume: true",
+        "inference": "corridor evaluate plays what a run has learned",
+    }
+    run_id: str | None = None
+    results_dir: str | None = None
+    resume: bool | None = None
+    force: bool | None = None
+
+
+@dataclass(frozen=True)
+class TorchSettings(Settings):
+    """Where networks compute; None is not said.
+
+    Attributes:
+        device: As ``--device``.
+    """
+
+    SECTION: ClassVar = "torch_settings"
+    device: Device | None = None
+
+    @classmethod
+    def from_mapping(cls, values: object) -> Self:
+        """As of any settings; ``cuda:0`` is the GPU that ``cuda`` takes.
+
+        Raises:
+            SettingError: Something in it can't be used.
+        """
+        given = dict(names_and_values(values, cls.SECTION))
+        return super().from_mapping({**given, "device": "cuda"} if given.get("device") == "cuda:0" else given)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a file says.
+
+    Attributes:
+        behaviors: How each behavior is trained, by its name without its team, default settings included.
+        default_settings: How the others are; None if the file doesn't say.
+        env_settings: Where the environment is.
+        engine_settings: Those of Unity's engine settings that the file has.
+        graphics: Whether launched builds render; None if the file doesn't say.
+        environment_parameters: Names and numbers, samplers or curricula.
+        checkpoint_settings: Which run it is.
+        torch_settings: Where networks compute.
+        place: What the file is called, and its lines.
+    """
+
+    behaviors: Mapping[str, BehaviorSettings] = field(default_factory=dict)
+    default_settings: BehaviorSettings | None = None
+    env_settings: EnvSettings = EnvSettings()
+    engine_settings: Mapping[str, Any] = field(default_factory=dict)
+    graphics: bool | None = None
+    environment_parameters: Mapping[str, Any] = field(default_factory=dict)
+    checkpoint_settings: CheckpointSettings = CheckpointSettings()
+    torch_settings: TorchSettings = TorchSettings()
+    place: "LinesOfFile | None" = field(default=None, compare=False, repr=False)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Reads a file.
+
+        Raises:
+            TrainerError: It can't be read or is not YAML; or something in it can't be used, on a line that is named.
+        """
+        try:
+            text = read_text(path)
+            values = mapping_of(text, path)
+        except ValueError as error:
+            raise TrainerError(str(error)) from error
+        place = LinesOfFile(path, text)
+        try:
+            place.check_names()
+            return cls(**_sections(values), place=place)
+        except SettingError as error:
+            raise place.named(error) from error
+
+    @property
+    def max_steps(self) -> int | None:
+        """The most that a listed behavior trains for, else what is the default; None if the file has neither."""
+        settings: list[BehaviorSettings | None] = [*self.behaviors.values()]
+        settings = settings or [self.default_settings]
+        return max((each.max_steps for each in settings if each is not None), default=None)
+
+    def trained_for(self, steps: int | None) -> tuple[dict[str, Any], dict[str, Any] | None]:
+        """The sections ``behaviors`` and ``default_settings`` as a run records them.
+
+        Args:
+            steps: Instead of every ``max_steps``; None leaves them.
+        """
+
+        def recorded(settings: BehaviorSettings) -> dict[str, Any]:
+            return (settings if steps is None else replace(settings, max_steps=steps)).as_dict()
+
+        behaviors = {name: recorded(each) for name, each in self.behaviors.items()}
+        return behaviors, None if self.default_settings is None else recorded(self.default_settings)
+
+    def parameters(self, texts: Sequence[str], env_is_ours: bool) -> dict[str, Any]:
+        """Environment parameters of the command line (``NAME=NUMBER``) over those of the file, checked.
+
+        Raises:
+            TrainerError: A text has another form, or our corridor has no such parameter, or not with such a value.
+        """
+        parameters = dict(self.environment_parameters)
+        for text in texts:
+            name, equals, typed = text.partition("=")
+            number = NUMBER.parse(typed)
+            if not name or not equals or number is None:
+                raise TrainerError(f"--env-param {text} is not of the form NAME=NUMBER, such as opponent_speed=1.5.")
+            parameters[name] = number
+        typed_names = {text.partition("=")[0] for text in texts}
+        for name, value in parameters.items():
+            try:
+                _check_parameter(name, value, env_is_ours)
+            except TrainerError as error:
+                if name in typed_names:
+                    raise
+                raise self._named(SettingError(str(error), "environment_parameters", name)) from error
+        return parameters
+
+    def settings_for(self, behavior: str) -> BehaviorSettings:
+        """How a behavior, with or without its team, is trained.
+
+        Raises:
+            TrainerError: The file lists behaviors, but not this one, and has no default settings.
+        """
+        try:
+            return settings_for(behavior, self.behaviors, self.default_settings)
+        except SettingError as error:
+            raise self._named(error) from error
+
+    def check_behaviors(self, found: Iterable[str]) -> None:
+        """Refuses an environment whose behaviors are not those of the file.
+
+        Args:
+            found: Its behaviors, with or without their teams.
+
+        Raises:
+            TrainerError: One is not in the file, which has no default settings; or the file has one that is not there.
+        """
+        names = [each.partition("?")[0] for each in found]
+        try:
+            check_behaviors(names, self.behaviors, self.default_settings)
+        except SettingError as error:
+            raise self._named(error) from error
+        Curricula(self.environment_parameters).check_behaviors(names)
+
+    def _named(self, error: SettingError) -> TrainerError:
+        return error if self.place is None else self.place.named(error)
+
+
+def _sections(values: Mapping[Any, Any]) -> dict[str, Any]:
+    """What is in the sections of a file, as ``RunOptions`` has it."""
+    given = {name: value for name, value in values.items() if value is not None}  # all its lines may be comments
+    for name in given:
+        if name in OF_BEFORE:
+            raise SettingError(f"The section {name} is of ML-Agents before 0.18; {OF_BEFORE[name]} now.", name)
+        if name == "debug":
+            if not isinstance(given[name], bool):
+                raise SettingError(f"The setting debug is {shown(given[name])}, but true or false was expected.", name)
+        elif name not in SECTIONS:
+            raise SettingError(f"There is no section {shown(name)}; {nearest(name, SECTIONS)}.", name)
+    behaviors, default = read_behaviors(given.get("behaviors", {}), given.get("default_settings"))
+    made: dict[str, Any] = {"behaviors": behaviors, "default_settings": default}
+    kinds: dict[str, type[Settings]] = {
+        "env_settings": EnvSettings,
+        "checkpoint_settings": CheckpointSettings,
+        "torch_settings": TorchSettings,
+        "engine_settings": EngineConfig,
+    }
+    for name, kind in kinds.items():
+        try:
+            made[name] = kind.from_mapping(given.get(name, {}))
+        except SettingError as error:
+            raise error.within(name) from error
+    typed, engine = given.get("engine_settings", {}), made["engine_settings"]
+    made["engine_settings"] = {
+        each.name: getattr(engine, each.name) for each in fields(EngineConfig) if each.name in typed
+    }
+    made["graphics"] = not typed["no_graphics"] if "no_graphics" in typed else None
+    parameters = given.get("environment_parameters", {})
+    try:
+        Curricula(parameters)
+    except SettingError as error:
+        raise error.within("environment_parameters") from error
+    return {**made, "environment_parameters": parameters}
+
+
+def _check_parameter(name: str, value: Any, env_is_ours: bool) -> None:
+    if name == PENALTY:
+        raise TrainerError(f"The environment parameter {PENALTY} is set by --penalty; take it out.")
+    for lesson in read_lessons(name, value):
+        parsed = parse_parameter(name, lesson.value, 0)
+        if env_is_ours:
+            check_parameter(name, parsed)
+
+
+class LinesOfFile:
+    """On which line of a YAML file a setting stands.
+
+    Args:
+        path: The file's.
+        text: What is in it, which PyYAML can read.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        import yaml
+
+        self._path = path
+        self._root: Any = yaml.compose(text, yaml.SafeLoader)
+
+    def named(self, error: SettingError) -> TrainerError:
+        """A refusal with the file's name and the line of the setting, or of what it should stand in."""
+        node, line = self._root, 1
+        for step in error.where:
+            found = [(at, inner) for name, at, inner in _inside(node) if name == str(step)]
+            if not found:
+                break
+            line, node = found[0]
+        return TrainerError(f"{self._path}, line {line}: {error}")
+
+    def check_names(self) -> None:
+        """Refuses a name that stands twice in one place, of which PyYAML would take the last.
+
+        Raises:
+            TrainerError: There is one.
+        """
+        waiting, seen = [self._root], set()
+        while waiting:
+            node = waiting.pop()
+            if node is None or id(node) in seen:  # it may be referred to a billion times
+                continue
+            seen.add(id(node))
+            lines: dict[str, int] = {}
+            for name, line, inner in _inside(node, merge=False):
+                if name in lines:
+                    raise TrainerError(
+                        f"{self._path}, line {line}: {shown(name)} stands on line {lines[name]} already; take one out."
+                    )
+                lines[name] = line
+                waiting.append(inner)
+
+
+def _inside(node: Any, merge: bool = True) -> Iterator[tuple[str, int, Any]]:
+    """The name or index, the line, and the node of each thing in a list or mapping; merged ones (``<<``) last."""
+    waiting, seen = [node], set()
+    while waiting:
+        node = waiting.pop(0)
+        if node is None or node.id == "scalar" or id(node) in seen:
+            continue
+        seen.add(id(node))
+        if node.id == "sequence":
+            yield from ((str(index), each.start_mark.line + 1, each) for index, each in enumerate(node.value))
+            continue
+        for key, value in node.value:
+            if not key.tag.endswith(":merge"):
+                yield str(key.value), key.start_mark.line + 1, value
+            elif merge:
+                waiting += value.value if value.id == "sequence" else [value]
