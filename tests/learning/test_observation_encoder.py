@@ -63,6 +63,15 @@ def test_a_picture_has_features_wherever_its_network_fits(sides, kind):
     assert all(each.grad is not None and each.grad.isfinite().all() for each in built.parameters())
 
 
+@pytest.mark.parametrize(("kind", "limit"), LIMITS.items())
+def test_the_smallest_picture_that_a_network_takes_is_ml_agents(kind, limit):
+    smallest = encoder(Sensor.of("camera", (limit, limit + 9, 1)), vis_encode_type=kind)
+    assert smallest.encode([torch.rand(2, limit, limit + 9, 1)]).isfinite().all()
+    if limit > 1:
+        with pytest.raises(TrainerError, match=f"from {limit} x {limit} on; choose simple"):
+            encoder(Sensor.of("camera", (limit + 9, limit - 1, 1)), vis_encode_type=kind)
+
+
 @pytest.mark.parametrize("kind", LIMITS)
 def test_where_the_channels_stand_does_not_matter(kind):
     last, first = Sensor("camera", (40, 36, 3), (2, 2, 1)), Sensor("camera", (3, 40, 36), (1, 2, 2))
@@ -143,7 +152,9 @@ def test_goals_are_joined_to_the_rest_or_condition_it():
     conditioned = encoder(VECTOR, GOAL, hidden_units=32)
     assert conditioned.features_dim == 32
     assert conditioned.encode([vector, goal]).shape == (3, 32)
-    # How the features answer to the vector depends on the goal, which no sum of both could do.
+    # How the features answer to the vector depends on the goal, even where nothing but the conditioning sees the goal.
+    with torch.no_grad():
+        conditioned.conditioned[0].weight[:, 4:] = 0.0
     slopes = [
         conditioned.encode([vector, row.expand(3, 3)]) - conditioned.encode([vector + 1, row.expand(3, 3)])
         for row in goal
