@@ -19,9 +19,9 @@ from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.errors import TrainerError
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.experience import Asking, Experience
-from trainer.learning.observations import Observations
+from trainer.learning.observation_scaling import ObservationScaling
 from trainer.learning.ppo_update import PPOUpdate, minibatches, tensor, tensors
-from trainer.learning.signals import Signal
+from trainer.learning.rewards import Signal
 from trainer.learning.transitions import Decided, Observed, Singles, Transitions, advantages, joined
 
 WINDOW = 100  # episodes that running means are over
@@ -74,7 +74,7 @@ class PPOLearner:
             shared_critic=self._own.shared_critic,
         )
         self._ppo = PPOUpdate(self.policy, self._own)
-        self.observations = Observations(behavior, network.normalize)
+        self.observations = ObservationScaling(behavior, network.normalize)
         self.experience = Experience(behavior, self._heads, settings.time_horizon)
         self._generator = np.random.default_rng(seed)
         self._waiting: list[_Waiting] = []

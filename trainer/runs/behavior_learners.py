@@ -10,7 +10,7 @@ from corridor_server.protocol.agents import ActionBatch, Behavior, Sensor
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.learning.ppo_learner import PPOLearner
-from trainer.learning.signals import build_signals
+from trainer.learning.rewards import build_signals
 from trainer.players.scene import Message, Scene
 from trainer.runs.checkpoint import Checkpoint, read_checkpoint, read_checkpoint_file
 

@@ -203,14 +203,16 @@ class SceneTraining:
         """Shows every behavior's progress, and logs a row where it is time to."""
         statistics: dict[str, float] | None = None
         for name, learner in self.learners:
-            log = self._logs.get(name)
+            log, only = self._logs.get(name), self.is_only(name)
+            line = self._config.run_id if only else name
             if log is None:
-                path = self._folder.behavior(name, only=self.is_only(name)).path
+                path = self._folder.behavior(name, only).path
                 self._logs[name] = log = BehaviorLog(path, learner.steps, learner.settings.summary_freq)
-                display.add(
-                    self._config.run_id if self.is_only(name) else name, learner.settings.max_steps, learner.steps
-                )
-            display.update(self._config.run_id if self.is_only(name) else name, log.snapshot(learner))
+                display.add(line, learner.settings.max_steps, learner.steps)
+            if learner.updates == log.updates:
+                continue
+            log.updates = learner.updates
+            display.update(line, log.snapshot(learner))
             if log.is_due(learner):
                 if statistics is None:
                     statistics = {key: float(np.mean(each)) for key, each in self._scene.statistics().items() if each}

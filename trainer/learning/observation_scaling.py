@@ -13,7 +13,7 @@ from trainer.learning.transitions import Observed, Singles
 _EPSILON = 1e-8
 
 
-class Observations:
+class ObservationScaling:
     """What a behavior's agents observe.
 
     Args:

@@ -82,15 +82,15 @@ def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> 
         )
         found.append(Signal("curiosity", signal.strength, signal.gamma, curiosity))
     if asked.rnd is not None:
-        signal, network = asked.rnd, asked.rnd.network_settings
+        own, network = asked.rnd, asked.rnd.network_settings
         novelty = RNDModule(
             behavior,
-            learning_rate=signal.learning_rate,
+            learning_rate=own.learning_rate,
             hidden_units=network.hidden_units,
             num_layers=network.num_layers,
             vis_encode_type=network.vis_encode_type,
             goal_conditioning_type=network.goal_conditioning_type,
             seed=seed,
         )
-        found.append(Signal("rnd", signal.strength, signal.gamma, novelty))
+        found.append(Signal("rnd", own.strength, own.gamma, novelty))
     return tuple(found)
