@@ -17,7 +17,7 @@ from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories, load_trajectories, save_trajectories
-from trainer.viewer.scene import FOREIGN, choose, episode_record, run_scene
+from trainer.viewer.corridor_scene import FOREIGN, choose, episode_record, run_scene
 
 CONFIG = settings()
 

@@ -25,8 +25,8 @@ from page_in_browser import (
 from recorded_run import GOLDEN, settings
 
 from trainer.runs.trajectories import load_trajectories
+from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
-from trainer.viewer.scene import run_scene
 
 CONFIG = settings()
 

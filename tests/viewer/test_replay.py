@@ -15,8 +15,8 @@ from trainer.errors import TrainerError
 from trainer.runs.evaluation import Episode
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories
+from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
-from trainer.viewer.scene import run_scene
 
 
 def page_data(text: str) -> dict:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Agents, Behavior
-from trainer.learning.transitions import Decided, Episode, Indices, Observed, Rows, Singles, Transitions
+from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Rows, Singles, Transitions
 
 Agent = tuple[int, str, int]  # player, full name of the behavior, id
 _NONE = -1
@@ -51,7 +51,7 @@ class Experience:
             "episodes": Rows((), np.intp),
         }
         self.closed = 0
-        self.ended: list[Episode] = []
+        self.ended: list[EndedEpisode] = []
         self.undecided = 0
         self._masked = False
         self._agents: dict[Agent, int] = {}
@@ -94,7 +94,7 @@ class Experience:
             transitions[which] = self._close(chosen, _rewards(agents)[which], _some(observations, which))
             for slot in chosen.tolist():
                 number, total, length = (self._slots[name][slot] for name in ("episode", "totals", "lengths"))
-                self.ended.append(Episode(int(number), float(total), int(length)))
+                self.ended.append(EndedEpisode(int(number), float(total), int(length)))
                 self._drop(slot)
         return transitions
 

@@ -85,7 +85,7 @@ class Transitions:
         return len(self.rewards)
 
 
-class Episode(NamedTuple):
+class EndedEpisode(NamedTuple):
     """An episode that ended.
 
     Attributes:

@@ -79,7 +79,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     from trainer.runs.training import load_trained
     from trainer.runs.trajectories import Trajectories
     from trainer.seeds import evaluation_seed
-    from trainer.viewer.scene import run_scene
+    from trainer.viewer.corridor_scene import run_scene
 
     folder = RunFolder(run)
     config = folder.read_config()

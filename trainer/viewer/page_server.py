@@ -21,9 +21,9 @@ from corridor_server.corridor.gym_env import CorridorEnv
 from corridor_server.shared.given import Range, read_json, shown
 from trainer.errors import TrainerError
 from trainer.terminal import Terminal
+from trainer.viewer.corridor_scene import corridor_facts, state_row
 from trainer.viewer.document import page
 from trainer.viewer.live import LiveEvaluations
-from trainer.viewer.scene import corridor_facts, state_row
 from trainer.viewer.watched_runs import WatchedRuns
 
 HOST = "127.0.0.1"

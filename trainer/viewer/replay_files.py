@@ -8,9 +8,9 @@ from trainer.errors import TrainerError
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories
 from trainer.terminal import Terminal
+from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
 from trainer.viewer.pictures import save_animations
-from trainer.viewer.scene import run_scene
 
 
 def replay_run(

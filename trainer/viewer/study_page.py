@@ -14,8 +14,8 @@ from trainer.options import is_name
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.terminal import Terminal
+from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
-from trainer.viewer.scene import run_scene
 
 SEED, SEEDS = Range(0, 2**31 - 1), Range(1, 10_000)
 CLAIMS = "claims.json"

@@ -14,8 +14,8 @@ from trainer.errors import TrainerError
 from trainer.runs.checkpoint import kept_checkpoints
 from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import load_trajectories
+from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.live import LiveEvaluations
-from trainer.viewer.scene import run_scene
 
 LISTED = 100  # runs, those with the latest news
 CURVES = ("env_steps", "mean_return", "success_rate", "mean_episode_length", "intrinsic_reward", "steps_per_second")

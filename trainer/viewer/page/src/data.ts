@@ -1,4 +1,4 @@
-// What Python hands to the page (trainer/viewer/scene.py, trainer/viewer/page_server.py), and episodes unpacked from it.
+// What Python hands to the page (trainer/viewer/corridor_scene.py, trainer/viewer/page_server.py), and episodes unpacked from it.
 
 export interface Corridor {
   half_length: number;
