@@ -125,7 +125,9 @@ class PPOLearner:
         self.experience.begin_anew(player)
         self._waiting = [each for each in self._waiting if each.player != player]
 
-    def take(self, player: int, behavior: str, ended: Agents | None, asking: Agents | None) -> None:
+    def take(
+        self, player: int, behavior: str, ended: Agents | None, asking: Agents | None, again: bool = False
+    ) -> None:
         """Takes what one player's agents say.
 
         Args:
@@ -133,12 +135,13 @@ class PPOLearner:
             behavior: The behavior's full name.
             ended: Agents whose episode ended.
             asking: Agents that ask for a decision.
+            again: Whether their request was taken before: of a run that goes on where it was saved.
         """
         if self.is_done or self._plays:
             if asking is not None:
                 self._waiting.append(_Waiting(player, behavior, self.observations.of(asking), None))
             return
-        if asking is not None:
+        if asking is not None and not again:
             self.observations.learn(asking)
         if ended is not None:
             self._end(player, behavior, ended)

@@ -61,15 +61,20 @@ class BehaviorLearners:
         """Whether the next messages may bring one enough for an update."""
         return any(learner.is_nearly_full for learner in self._learners.values())
 
-    def take(self, messages: list[Message]) -> None:
-        """Hands every learner what the players' agents say."""
+    def take(self, messages: list[Message], again: bool = False) -> None:
+        """Hands every learner what the players' agents say.
+
+        Args:
+            messages: Of each player.
+            again: Whether the learners have had them before: of a run that goes on where it was saved.
+        """
         for player, message in enumerate(messages):
             if message.anew:
                 for learner in self._learners.values():
                     learner.begin_anew(player)
             for name in dict.fromkeys((*message.ended, *message.asking)):
                 learner = self._of(self._scene.behaviors[name])
-                learner.take(player, name, message.ended.get(name), message.asking.get(name))
+                learner.take(player, name, message.ended.get(name), message.asking.get(name), again)
 
     def learn(self) -> bool:
         """Has every learner that has enough make an update; returns whether one had."""

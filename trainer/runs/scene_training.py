@@ -64,8 +64,7 @@ class SceneTraining:
         self._messages = scene.reset()
         config.check_behaviors(scene.behaviors)
         self._listed = {name.partition("?")[0] for name in scene.behaviors}
-        if checkpoint is not None:
-            self._restore(checkpoint)
+        self._goes_on = checkpoint is not None and self._restore(checkpoint)
         self._saved_steps = self._kept_steps = counters.env_steps
         self._saving_seconds, self._next_save = 0.0, 0.0
 
@@ -87,7 +86,7 @@ class SceneTraining:
             TrainerError: A player failed, the folder can't be written, or numbers went bad.
         """
         learners, scene, counters = self.learners, self._scene, self._counters
-        learners.take(self._messages)
+        learners.take(self._messages, again=self._goes_on)
         begin()
         started, earlier = time.monotonic(), replace(counters)
         with ProgressDisplay() as display, StopSignals() as signals:
@@ -114,18 +113,21 @@ class SceneTraining:
                     self._finish()
         return not signals.received
 
-    def _restore(self, checkpoint: Checkpoint) -> None:
+    def _restore(self, checkpoint: Checkpoint) -> bool:
+        """Puts everything back; returns whether the running episodes go on."""
         self.learners.restore(checkpoint)
         self._curricula.load_state_dict(checkpoint.part("curricula"))
         for name, returns in checkpoint.part("lessons").items():
             self._lesson_returns[name] = list(returns)
         self._tell_lessons()
         saved, found = checkpoint.part("asking"), asking_of(self._messages)
-        if saved and saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved):
+        goes_on = saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved)
+        if goes_on:
             self._messages = [message._replace(anew=False) for message in self._messages]
         else:
             Terminal().print("The player can't go on where it was: new episodes begin.")
         self._random.load_state_dict(checkpoint.part("random"))
+        return goes_on
 
     def _teach(self) -> None:
         """Goes on to the next lesson where one is over."""
