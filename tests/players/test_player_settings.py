@@ -71,6 +71,25 @@ def test_samplers_reach_the_player_each_with_its_own_seed(tmp_path):
     assert parameters["switch_z"] == MultiRangeUniform(seeds["switch_z"], ((-3.0, -2.0), (2.0, 3.0)))
 
 
+def test_a_sampler_has_mlagents_defaults_and_its_own_seed_if_the_file_says_one(tmp_path):
+    text = """
+environment_parameters:
+  goal_z: {sampler_type: uniform, sampler_parameters: {seed: 99}}
+  agent_speed: {sampler_type: gaussian, sampler_parameters: {st_dev: 0.5, seed: -1}}
+  switch_z: {sampler_type: multirangeuniform, sampler_parameters: {}}
+  goal_x: {sampler_type: constant, sampler_parameters: {seed: 5, value: 7}}
+"""
+    run = config(tmp_path, text, env="Other.x86_64")
+    _, parameters = sent(run, seed=7)
+    seeds = {name: 7 + index for index, name in enumerate(run.environment_parameters)}
+    assert parameters == {
+        "goal_z": Uniform(99, 0.0, 1.0),
+        "agent_speed": Gaussian(seeds["agent_speed"], 1.0, 0.5),
+        "switch_z": MultiRangeUniform(seeds["switch_z"], ((0.0, 1.0),)),
+        "goal_x": 7.0,
+    }
+
+
 def test_our_player_takes_them(open_corridor, tmp_path):
     run = config(tmp_path, FILE)
     environment = open_corridor(side_channels=channels(run, 7), log_folder=tmp_path)
