@@ -19,12 +19,13 @@ from trainer.players.area_state import PlayerState
 from trainer.players.behavior import only_behavior
 from trainer.players.environment import Environment
 from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
-from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
+from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
 from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.statistics_channel import Statistics
-from trainer.players.vec_env import UnityVecEnv
+from trainer.players.trained import EpisodeStatistics, TrainedSlots
+from trainer.players.vec_env import action_space
 from trainer.seeds import player_seed
 from trainer.signals import deferred
 from trainer.terminal import Terminal
@@ -184,7 +185,7 @@ def _open(
             slots = (
                 _one_area(config, environment, statistics)
                 if config.through_gym
-                else UnityVecEnv(environment, statistics)
+                else TrainedSlots(environment, statistics)
             )
             return OpenPlayer(environment, slots, state, *only_behavior(environment))
     except BaseException:
@@ -208,4 +209,5 @@ def _one_area(config: RunConfig, environment: Environment, statistics: Statistic
                 "leave one agent in the scene, or take preset fast."
             ) from error
         raise TrainerError(str(error)) from error
+    action_space(only_behavior(environment)[1])  # one kind
     return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)])
