@@ -1,5 +1,6 @@
 """A scripted ML-Agents environment: gives out prepared steps and keeps the actions that it gets."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,7 +32,8 @@ def spec(shapes: list[tuple[int, ...]], actions: ActionSpec) -> BehaviorSpec:
 class Scripted:
     """Each message is ({agent id: reward} that decide, {agent id: (reward, interrupted)} that end).
 
-    An agent's observations are filled with its id, plus a hundredth for each message.
+    An agent's observations are filled with its id, plus a hundredth for each message. Its group gets ``group_reward``
+    with every message, and ``forbids`` says, of an agent's id and the message's number, what each branch forbids.
     """
 
     behavior: BehaviorSpec
@@ -40,6 +42,8 @@ class Scripted:
     resets: int = 0
     closed: bool = False
     at: int = -1
+    group_reward: float = 0.0
+    forbids: Callable[[int, int], list[list[bool]]] | None = None
 
     @property
     def behavior_specs(self) -> dict[str, BehaviorSpec]:
@@ -59,13 +63,18 @@ class Scripted:
     def get_steps(self, name: str) -> tuple[DecisionSteps, TerminalSteps]:
         decide, end = self.messages[self.at]
         zeros, mask = [0] * len(decide), None
+        if self.forbids is not None and decide:
+            mask = [
+                np.array(branch) for branch in zip(*(self.forbids(agent, self.at) for agent in decide), strict=True)
+            ]
+        group = np.full(len(decide), self.group_reward, np.float32)
         decision = DecisionSteps(
-            self._observe(list(decide)), _floats(decide.values()), _ids(decide), mask, zeros, np.zeros(len(decide))
+            self._observe(list(decide)), _floats(decide.values()), _ids(decide), mask, zeros, group
         )
         rewards = _floats(reward for reward, _ in end.values())
         interrupted = np.array([cut for _, cut in end.values()], dtype=bool)
-        none = np.zeros(len(end))
-        return decision, TerminalSteps(self._observe(list(end)), rewards, interrupted, _ids(end), [0] * len(end), none)
+        group = np.full(len(end), self.group_reward, np.float32)
+        return decision, TerminalSteps(self._observe(list(end)), rewards, interrupted, _ids(end), [0] * len(end), group)
 
     def close(self) -> None:
         if self.closed:

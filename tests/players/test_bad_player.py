@@ -13,7 +13,7 @@ from trainer.errors import TrainerError
 from trainer.players.failures import explain
 from trainer.players.opening import open_environment
 from trainer.players.statistics_channel import Statistics
-from trainer.players.vec_env import UnityVecEnv
+from trainer.players.trained import TrainedSlots
 
 HELLO, FIRST, LATER = (-2,), (0,), (3,)
 OUTPUT = "output = message.unity_output.rl_output\n"
@@ -25,14 +25,14 @@ WITHOUT_HEADER = "data = message.unity_output.SerializeToString()\nmessage.Clear
 
 
 @contextmanager
-def playing(folder, port: int, **options: object) -> Iterator[UnityVecEnv]:
+def playing(folder, port: int, **options: object) -> Iterator[TrainedSlots]:
     player, _ = write_player(folder, agents=2, **options)
     statistics = Statistics()
     environment = open_environment(
         str(player), seed=0, num_areas=1, port=port, timeout_wait=60, side_channels=[statistics]
     )
     try:
-        yield UnityVecEnv(environment, statistics)
+        yield TrainedSlots(environment, statistics)
     finally:
         environment.kill()
 
@@ -60,7 +60,6 @@ def played(folder, port: int, **options: object) -> list[dict]:
         (LATER, AGENTS + "agents[1].id = 0", "agent 0 2 times in one message"),
         (LATER, AGENTS + "agents[1].observations[0].compression_type = 1", "agent 1 .* compression 1; only pictures"),
         (LATER, AGENTS + "agents[1].observations[0].compression_type = 9", "agent 1 .* compression 9; only pictures"),
-        (LATER, AGENTS + "agents[1].group_reward = 0.5", "Agent 1 got a group reward of 0.5, but only agents' own"),
         (LATER, AGENTS + "del agents[1]", "agents 0 asked for a decision, and of the others 1 neither asked nor ended"),
         (FIRST, AGENTS + "agents[0].observations[0].observation_type = 7", r"observations\[0\] of agent 0 of type 7"),
         (FIRST, BRAIN + "brain.brain_name = ''", "announced behavior '' with no name"),

@@ -78,7 +78,7 @@ def test_a_grey_picture_is_one_channel(tmp_path, free_port):
     environment.close()
 
 
-def test_unity_to_gym_wrapper_gives_pictures_in_the_players_shape(tmp_path, free_port):
+def test_unity_to_gym_wrapper_leaves_the_shape_of_a_player_that_does_not_say_which_axis_is_which(tmp_path, free_port):
     image = pixels()
     environment, _ = opened(tmp_path, free_port, picture=((3, HEIGHT, WIDTH), png(image), [0, 1, 2]))
     env = UnityToGymWrapper(environment, uint8_visual=True)

@@ -5,8 +5,10 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from mlagents_envs.base_env import ActionSpec
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from scripted import Scripted, spec
 from stable_baselines3.common.env_checker import check_env as check_sb3_env
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
 
@@ -95,6 +97,25 @@ def test_all_observations_are_a_tuple_with_the_vectors_last():
     assert isinstance(env.observation_space, spaces.Tuple)
 
 
+def test_buffers_stand_between_pictures_and_vectors_and_are_never_left_out_silently(caplog):
+    shapes = ((3,), (6, 2), (4, 5, 3), (7, 1))
+    env, _ = wrap(shapes=shapes, allow_multiple_obs=True)
+    observation, _ = env.reset()
+    assert [part.shape for part in observation] == [(4, 5, 3), (6, 2), (7, 1), (3,)]
+    assert env.observation_space.contains(observation)
+    assert not caplog.records
+    env, _ = wrap(shapes=((3,), (6, 2)))
+    assert env.reset()[0].shape == (3,)
+    assert "several observations (observation 0 (3,), observation 1 (6, 2)), of which only the vector" in caplog.text
+
+
+def test_a_buffer_alone_is_the_observation():
+    env, _ = wrap(shapes=((6, 2),))
+    observation, _ = env.reset()
+    assert observation.shape == (6, 2)
+    assert env.observation_space.contains(observation)
+
+
 def test_uint8_visual_scales_pixels():
     env, _ = wrap(shapes=((4, 5, 3),), uint8_visual=True)
     observation, _ = env.reset()
@@ -140,14 +161,65 @@ def test_an_agent_that_ends_before_its_first_decision_is_no_episode():
     assert observation == pytest.approx([1.03, 1.03, 1.03])
 
 
-def test_mixed_actions_are_refused():
-    with pytest.raises(UnityGymException, match="2 continuous actions and 1 discrete branches"):
-        wrap(actions=ActionSpec(2, (3,)))
+def test_both_kinds_of_actions_are_a_tuple():
+    env, environment = wrap(ONE, actions=ActionSpec(2, (3, 4)))
+    env.reset()
+    assert env.action_space == spaces.Tuple((spaces.Box(-1, 1, (2,), np.float32), spaces.MultiDiscrete([3, 4])))
+    env.step(([0.5, -0.5], [2, 1]))
+    assert environment.sent[0].continuous.tolist() == [[0.5, -0.5]]
+    assert environment.sent[0].discrete.tolist() == [[2, 1]]
 
 
-def test_no_observation_is_refused():
-    with pytest.raises(UnityGymException, match="no visual or vector observation"):
+def test_no_observation_and_no_action_are_refused():
+    with pytest.raises(UnityGymException, match="no observation"):
         wrap(shapes=())
+    with pytest.raises(UnityGymException, match="no action"):
+        wrap(actions=ActionSpec(0, ()))
+
+
+def test_a_groups_reward_is_added_once_to_the_agents_own():
+    env, environment = wrap(({1: 0.5}, {}), ({}, {1: (-1.0, False)}))
+    environment.group_reward = 0.25
+    env.reset()
+    assert env.step([0.0, 0.0])[1] == 0.75
+    assert env.step([0.0, 0.0])[1] == -0.75
+
+
+def masking(agent: int, message: int) -> list[list[bool]]:
+    return [[False, message == 1], [True, False, False]]
+
+
+def test_masks_are_what_is_allowed_now_as_sb3_contrib_asks_for_them():
+    behavior = spec([(3,)], ActionSpec.create_discrete((2, 3)))
+    env = UnityToGymWrapper(Scripted(behavior, [ONE, ONE, ({}, {1: (0.0, False)})], forbids=masking))
+    with pytest.raises(UnityGymException, match="No episode is running"):
+        env.action_masks()
+    env.reset()
+    assert is_masking_supported(env)
+    assert get_action_masks(env).tolist() == [True, True, False, True, True]
+    env.step([0, 1])
+    assert get_action_masks(env).tolist() == [True, False, False, True, True]
+    env.step([0, 1])
+    with pytest.raises(UnityGymException, match="No episode is running"):
+        env.action_masks()
+
+
+def test_who_masks_nothing_allows_everything_and_continuous_actions_have_no_masks():
+    env, _ = wrap(ONE, actions=ActionSpec.create_discrete((2, 3)))
+    env.reset()
+    assert env.action_masks().tolist() == [True] * 5
+    continuous, _ = wrap()
+    assert not is_masking_supported(continuous)
+    assert not is_masking_supported(DummyVecEnv([lambda: continuous]))
+
+
+def test_a_flattened_choice_is_allowed_if_all_of_its_parts_are():
+    behavior = spec([(3,)], ActionSpec.create_discrete((2, 3)))
+    env = UnityToGymWrapper(Scripted(behavior, [ONE, ONE], forbids=masking), flatten_branched=True)
+    env.reset()
+    assert env.action_masks().tolist() == [False, True, True, False, True, True]
+    env.step(1)
+    assert env.action_masks().tolist() == [False, True, True, False, False, False]
 
 
 def test_a_nan_action_is_refused():

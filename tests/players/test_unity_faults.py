@@ -99,10 +99,11 @@ def test_agents_that_take_turns_are_no_gymnasium_environment(opened):
     env.close()
 
 
-def test_pictures_come_in_the_shape_that_the_player_says(opened):
+def test_pictures_with_their_channels_first_come_with_their_channels_last(opened):
     env = UnityToGymWrapper(opened("pictures"), allow_multiple_obs=True)
     observation, _ = env.reset()
-    assert [part.shape for part in observation] == [(1, 6, 10), (3, 6, 10), (5, 6, 10), (2, 6, 10), (2,)]
+    assert [part.shape for part in observation] == [(6, 10, 1), (6, 10, 3), (6, 10, 5), (6, 10, 2), (2,)]
+    assert [(part[0] != part[-1]).any() for part in observation[:4]] == [True] * 4, "rows differ in their brightness"
     for _ in range(60):
         assert env.observation_space.contains(observation)
         observation, _, terminated, truncated, _ = env.step(env.action_space.sample())

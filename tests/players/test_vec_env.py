@@ -7,7 +7,7 @@ import pytest
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionSpec
 from mlagents_envs.side_channel.stats_side_channel import StatsAggregationMethod, StatsSideChannel
-from sb3_contrib.common.maskable.utils import is_masking_supported
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from scripted import Scripted, spec
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor
@@ -183,9 +183,47 @@ def test_messages_in_which_nobody_asks_yet_are_waited_through_after_a_reset():
     assert (environment.resets, environment.sent) == (2, [])
 
 
-def test_visual_observations_are_refused():
-    with pytest.raises(TrainerError, match=r"not shapes \[\(4, 4, 3\)\]"):
-        slots(({1: 0}, {}), shapes=((4, 4, 3),))
+def test_other_observations_than_vectors_are_a_dict_of_all():
+    env, _ = slots(
+        ({1: 0, 2: 0}, {}), ({1: 0, 3: 0}, {2: (0.0, False)}), shapes=((4, 5, 3), (2,), (6, 2)), actions=CONTINUOUS
+    )
+    shapes = {"obs_0": (3, 4, 5), "obs_1": (2,), "obs_2": (6, 2)}
+    assert {name: box.shape for name, box in env.observation_space.spaces.items()} == shapes
+    observations, _, dones, infos = act(env, 0, 0)
+    assert {name: part.shape for name, part in observations.items()} == {n: (2, *shape) for n, shape in shapes.items()}
+    assert [part[1].max() for part in observations.values()] == pytest.approx([3.01] * 3)
+    assert dones.tolist() == [False, True]
+    assert {name: part.shape for name, part in infos[1]["terminal_observation"].items()} == shapes
+    assert [part.max() for part in infos[1]["terminal_observation"].values()] == pytest.approx([2.01] * 3)
+
+
+def test_a_groups_reward_is_added_once_to_the_agents_own():
+    env, environment = slots(({1: 0, 2: 0}, {}), ({3: 9.0, 2: 0.5}, {1: (-1.0, False)}), ({3: 0.1, 2: 0.2}, {}))
+    environment.group_reward = 0.25
+    assert act(env, 0, 0)[1] == pytest.approx([-0.75, 0.75])
+    assert act(env, 0, 0)[1] == pytest.approx([0.35, 0.45])
+
+
+def test_masks_are_of_slots_as_sb3_contrib_asks_for_them():
+    behavior = spec([(1,)], ActionSpec.create_discrete((2, 3)))
+    messages = [({7: 0, 3: 0}, {}), ({3: 0, 7: 0}, {})]
+    forbids = {7: [[False, False], [True, False, False]], 3: [[True, False], [False, False, False]]}
+    env = UnityVecEnv(Scripted(behavior, messages, forbids=lambda agent, _: forbids[agent]))
+    env.reset()
+    assert is_masking_supported(env)
+    for _ in messages:  # whatever the order in which they come
+        assert get_action_masks(env).tolist() == [[True, True, False, True, True], [False, True, True, True, True]]
+        assert env.env_method("action_masks", indices=1)[0].tolist() == [False, True, True, True, True]
+        assert env.get_attr("action_masks", indices=[1])[0]().tolist() == [False, True, True, True, True]
+        if env.environment.at == 0:
+            env.step(np.array([[0, 1], [1, 0]]))
+    masks_nothing, _ = slots(({1: 0}, {}), actions=ActionSpec.create_discrete((2, 3)))
+    assert get_action_masks(masks_nothing).tolist() == [[True] * 5]
+
+
+def test_both_kinds_of_actions_are_refused():
+    with pytest.raises(TrainerError, match="2 continuous actions and 1 discrete branches"):
+        slots(({1: 0}, {}), actions=ActionSpec(2, (3,)))
 
 
 def test_a_nan_action_names_its_area():

@@ -5,6 +5,7 @@ Unity's Gymnasium version (ml-agents pull request 6309) can take this one's plac
 """
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -13,11 +14,17 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from mlagents_envs.base_env import ActionSpec, ActionTuple, BaseEnv, DecisionSteps, TerminalSteps
 from mlagents_envs.logging_util import get_logger
-from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from numpy.typing import NDArray
 
-from trainer.corridor import episode_info
-from trainer.players.unsupported import refuse_group_rewards, refuse_masks
+from trainer.errors import TrainerError
+from trainer.players.behavior_spaces import (
+    action_arrays,
+    action_space,
+    all_rewards,
+    allowed_choices,
+    in_axes,
+    picture_axes,
+)
 
 logger = get_logger(__name__)
 
@@ -31,9 +38,16 @@ class UnityGymException(gymnasium.error.Error):
 class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
     """One agent of one behavior as a Gymnasium environment.
 
-    The action space is Box(-1, 1) for continuous actions, Discrete for one discrete branch, and MultiDiscrete (or
-    Discrete, flattened) for several. The observation is the first visual observation if there is one, else all vector
-    observations in one array; with ``allow_multiple_obs``, a tuple of every visual observation and, last, the vector.
+    The action space is Box(-1, 1) for continuous actions, Discrete for one discrete branch, MultiDiscrete (or Discrete,
+    flattened) for several, and Tuple((Box, MultiDiscrete)) for continuous and discrete actions at once. With discrete
+    ones, ``action_masks`` says what is allowed, as sb3-contrib's ``MaskablePPO`` asks for it.
+
+    The observation is the first visual observation if there is one, else all vector observations in one array, else the
+    first buffer of vectors, (most, size). With ``allow_multiple_obs`` it is a tuple of all: every visual observation,
+    every buffer and, last, the vector. Pictures are (height, width, channels), whichever order a player says that it
+    has; one that says none has them in that order.
+
+    A reward is the agent's own with its group's added.
 
     ``terminated`` and ``truncated`` are never both true: an episode that was interrupted (``max_step_reached``) is
     truncated, every other end is terminated. Each info holds the raw ``DecisionSteps`` or ``TerminalSteps`` as
@@ -47,7 +61,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         action_space_seed: Seeds the action space.
 
     Raises:
-        UnityGymException: Several behaviors or agents, no observation, or continuous and discrete actions at once.
+        UnityGymException: Several behaviors or agents, no observation, or no action.
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium's own declaration
@@ -67,17 +81,20 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self._check_behaviors()
         self.name = next(iter(self._env.behavior_specs))
         self.group_spec = self._env.behavior_specs[self.name]
-        shapes = [tuple(spec.shape) for spec in self.group_spec.observation_specs]
-        self._visual_shapes = [shape for shape in shapes if len(shape) == 3]
-        self.render_mode = "rgb_array" if self._visual_shapes else None
-        self._vector_size = sum(shape[0] for shape in shapes if len(shape) == 1)
-        if not self._visual_shapes and not self._vector_size:
-            raise UnityGymException("The environment provides no visual or vector observation.")
-        if uint8_visual and not self._visual_shapes:
+        observed = self.group_spec.observation_specs
+        self._pictures = {i: picture_axes(each) for i, each in enumerate(observed) if len(each.shape) == 3}
+        self._buffers = [i for i, each in enumerate(observed) if len(each.shape) == 2]
+        self._vectors = [i for i, each in enumerate(observed) if len(each.shape) == 1]
+        self.render_mode = "rgb_array" if self._pictures else None
+        kinds = len(self._pictures) + len(self._buffers) + bool(self._vectors)
+        if not kinds:
+            raise UnityGymException("The environment provides no observation, but one or more were expected.")
+        if uint8_visual and not self._pictures:
             logger.warning("uint8_visual has no effect: the environment has no visual observation.")
-        if len(self._visual_shapes) + bool(self._vector_size) > 1 and not allow_multiple_obs:
+        if kinds > 1 and not allow_multiple_obs:
+            given = "the first visual one" if self._pictures else "the vector" if self._vectors else "the first buffer"
             logger.warning(
-                "The environment has several observations, of which only the first visual one is given; "
+                f"The environment has several observations ({self._named()}), of which only {given} is given; "
                 "allow_multiple_obs=True gives all."
             )
         self._uint8_visual = uint8_visual
@@ -85,6 +102,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self._image: NDArray[Any] | None = None
         self._flattened: list[tuple[int, ...]] | None = None
         self._needs_reset = False
+        self._last_decision: DecisionSteps | None = None  # what the running episode's agent asked with last
         self.action_space = self._make_action_space(self.group_spec.action_spec, flatten_branched)
         if action_space_seed is not None:
             self.action_space.seed(action_space_seed)
@@ -116,27 +134,38 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self._first_decision = None
         if self._flattened is not None:
             action = self._flattened[int(action)]
-        actions = ActionTuple()
-        if self.group_spec.action_spec.is_continuous():
-            if not np.isfinite(action).all():
-                raise UnityGymException(f"The action is {action!r}, but finite numbers were expected.")
-            actions.add_continuous(np.asarray(action, dtype=np.float32).reshape(1, -1))
-        else:
-            actions.add_discrete(np.asarray(action, dtype=np.int32).reshape(1, -1))
-        self._env.set_actions(self.name, actions)
+        numbers, choices = action_arrays(self.group_spec.action_spec, action, 1)
+        if not np.isfinite(numbers).all():
+            raise UnityGymException(f"The action is {action!r}, but finite numbers were expected.")
+        self._env.set_actions(self.name, ActionTuple(numbers, choices))
         decision, terminal = self._next_steps()
         ended = np.flatnonzero(terminal.agent_id == self._agent)
         if len(ended):
             self._needs_reset = True
             row = int(ended[0])
-            truncated, reward = bool(terminal.interrupted[row]), float(terminal.reward[row])
+            truncated, reward = bool(terminal.interrupted[row]), float(all_rewards(terminal)[row])
             return self._observation(terminal, row), reward, not truncated, truncated, {"step": terminal}
         if decision.agent_id[0] != self._agent:
             raise UnityGymException(
                 f"Agent {decision.agent_id[0]} asks for a decision while the episode of agent {self._agent} goes on: "
                 "the environment has several agents that take turns, but a Gymnasium environment has one."
             )
-        return self._observation(decision), float(decision.reward[0]), False, False, {"step": decision}
+        return self._observation(decision), float(all_rewards(decision)[0]), False, False, {"step": decision}
+
+    @property
+    def action_masks(self) -> Callable[[], NDArray[np.bool_]]:
+        """A method that gives what the agent may choose now, (all branches' choices one after another,) bool.
+
+        True is allowed; with ``flatten_branched``, one flag for each choice of the flattened space. An environment
+        without discrete actions has no such attribute, so that who looks for it is told the truth.
+
+        Raises:
+            AttributeError: The behavior has no discrete actions.
+            UnityGymException: From the method: no episode is running.
+        """
+        if not self.group_spec.action_spec.discrete_size:
+            raise AttributeError("The behavior has no discrete actions, which alone have masks.")
+        return self._mask
 
     def render(self) -> NDArray[Any] | None:
         """The latest first visual observation, as the agent got it; None without one. Draws no new frame."""
@@ -167,45 +196,60 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             if len(decision) or self._agent in terminal.agent_id:
                 return decision, terminal
 
+    def _mask(self) -> NDArray[np.bool_]:
+        if self._last_decision is None:
+            raise UnityGymException("No episode is running, so nobody chooses; call reset() before action_masks().")
+        mask: NDArray[np.bool_] = allowed_choices(self.group_spec.action_spec, self._last_decision)[0]
+        if self._flattened is None:
+            return mask
+        ends = np.cumsum(self.group_spec.action_spec.discrete_branches)[:-1]
+        branches = np.split(mask, ends)
+        each = [[branch[choice] for branch, choice in zip(branches, of, strict=True)] for of in self._flattened]
+        flags: NDArray[np.bool_] = np.all(each, axis=1)
+        return flags
+
     def _observation(self, steps: DecisionSteps | TerminalSteps, row: int = 0) -> Observation:
-        images = [self._pixels(array[row]) for array in steps.obs if array.ndim == 4]
-        vectors = [array[row] for array in steps.obs if array.ndim == 2]
-        if images:
-            self._image = images[0]
-        observations = [*images, np.concatenate(vectors)] if vectors else images
-        return tuple(observations) if self._allow_multiple_obs else observations[0]
+        self._last_decision = steps if isinstance(steps, DecisionSteps) else None
+        parts = [self._pixels(in_axes(steps.obs[i], axes)[row]) for i, axes in self._pictures.items()]
+        if parts:
+            self._image = parts[0]
+        if self._allow_multiple_obs or not self._vectors:
+            parts += [steps.obs[i][row] for i in self._buffers]
+        if self._vectors:
+            parts.append(np.concatenate([steps.obs[i][row] for i in self._vectors]))
+        return tuple(parts) if self._allow_multiple_obs else parts[0]
 
     def _pixels(self, image: NDArray[np.float32]) -> NDArray[Any]:
         return (255.0 * image).astype(np.uint8) if self._uint8_visual else image
 
     def _make_observation_space(self) -> spaces.Space[Any]:
+        shapes = [tuple(each.shape) for each in self.group_spec.observation_specs]
         each: list[spaces.Space[Any]] = []
-        for shape in self._visual_shapes:
+        for i, axes in self._pictures.items():
+            shape = tuple(shapes[i][axis] for axis in axes)
             if self._uint8_visual:
                 each.append(spaces.Box(0, 255, shape, np.uint8))
             else:
                 each.append(spaces.Box(0.0, 1.0, shape, np.float32))
-        if self._vector_size:
-            each.append(spaces.Box(-np.inf, np.inf, (self._vector_size,), np.float32))
+        if self._allow_multiple_obs or not self._vectors:
+            each += [spaces.Box(-np.inf, np.inf, shapes[i], np.float32) for i in self._buffers]
+        if self._vectors:
+            each.append(spaces.Box(-np.inf, np.inf, (sum(shapes[i][0] for i in self._vectors),), np.float32))
         return spaces.Tuple(each) if self._allow_multiple_obs else each[0]
 
     def _make_action_space(self, spec: ActionSpec, flatten_branched: bool) -> spaces.Space[Any]:
-        if spec.is_continuous():
-            if flatten_branched:
-                logger.warning("flatten_branched has no effect: the actions are continuous.")
-            return spaces.Box(-1.0, 1.0, (spec.continuous_size,), np.float32)
-        if not spec.is_discrete():
-            raise UnityGymException(
-                f"The behavior has {spec.continuous_size} continuous actions and {spec.discrete_size} discrete "
-                "branches; a Gymnasium action space is one or the other."
-            )
-        branches = tuple(int(size) for size in spec.discrete_branches)
-        if len(branches) == 1:
-            return spaces.Discrete(branches[0])
-        if flatten_branched:
-            self._flattened = list(itertools.product(*(range(size) for size in branches)))
+        if flatten_branched and not spec.is_discrete():
+            logger.warning("flatten_branched has no effect: not all of the actions are discrete.")
+        if flatten_branched and spec.is_discrete() and spec.discrete_size > 1:
+            self._flattened = list(itertools.product(*(range(int(size)) for size in spec.discrete_branches)))
             return spaces.Discrete(len(self._flattened))
-        return spaces.MultiDiscrete(list(branches))
+        try:
+            return action_space(spec)
+        except TrainerError as error:
+            raise UnityGymException(str(error)) from error
+
+    def _named(self) -> str:
+        return ", ".join(f"{each.name} {tuple(each.shape)}" for each in self.group_spec.observation_specs)
 
     def _check_behaviors(self) -> None:
         if len(self._env.behavior_specs) != 1:
@@ -221,40 +265,3 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
                 f"The environment has {count} agents, but a Gymnasium environment has one; "
                 "ask the player for one area, or use the vector path."
             )
-
-
-class EpisodeStatistics(gymnasium.Wrapper[Observation, Any, Observation, Any]):
-    """Adds what the player reported of an ended episode to its last info, as ``statistics`` and ``is_success``.
-
-    The info's ``step`` goes: Stable-Baselines3's ``DummyVecEnv`` would copy it at every step.
-
-    Args:
-        env: The environment of one agent.
-        channel: The statistics channel that the player's environment was opened with.
-    """
-
-    def __init__(self, env: UnityToGymWrapper, channel: StatsSideChannel) -> None:
-        super().__init__(env)
-        self._channel = channel
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Steps the environment."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._refuse_unsupported(info.pop("step"))
-        received = self._channel.get_and_reset_stats()
-        if terminated or truncated:
-            info.update(episode_info({name: values[-1][0] for name, values in received.items()}))
-        return observation, float(reward), terminated, truncated, info
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Resets the environment."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._refuse_unsupported(info.pop("step"))
-        return observation, info
-
-    def _refuse_unsupported(self, steps: DecisionSteps | TerminalSteps) -> None:
-        refuse_group_rewards(steps)
-        if isinstance(steps, DecisionSteps):
-            refuse_masks(steps)

@@ -20,13 +20,14 @@ from trainer.players.behavior import only_behavior
 from trainer.players.connected import Connected
 from trainer.players.environment import Environment
 from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
-from trainer.players.gym_wrapper import EpisodeStatistics, UnityGymException, UnityToGymWrapper
+from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
 from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
 from trainer.players.scene import Scene
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
 from trainer.players.statistics_channel import Statistics
-from trainer.players.vec_env import UnityVecEnv
+from trainer.players.trained import EpisodeStatistics, TrainedSlots
+from trainer.players.vec_env import action_space
 from trainer.seeds import player_seed
 from trainer.signals import deferred
 from trainer.terminal import Terminal
@@ -267,7 +268,7 @@ def _as_slots(config: RunConfig, logs: PlayerLogs, number: int, player: Connecte
             slots = (
                 _one_area(config, environment, player.statistics)
                 if config.through_gym
-                else UnityVecEnv(environment, player.statistics)
+                else TrainedSlots(environment, player.statistics)
             )
             return OpenPlayer(environment, slots, player.state, *only_behavior(environment))
     except BaseException:
@@ -291,4 +292,5 @@ def _one_area(config: RunConfig, environment: Environment, statistics: Statistic
                 "leave one agent in the scene, or take preset fast."
             ) from error
         raise TrainerError(str(error)) from error
+    action_space(only_behavior(environment)[1])  # one kind
     return DummyVecEnv([lambda: EpisodeStatistics(wrapper, statistics)])

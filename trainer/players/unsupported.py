@@ -3,7 +3,7 @@
 from collections.abc import Collection
 
 import numpy as np
-from mlagents_envs.base_env import DecisionSteps, TerminalSteps
+from mlagents_envs.base_env import DecisionSteps
 
 from trainer.errors import TrainerError
 
@@ -21,20 +21,6 @@ def refuse_other_behaviors(behaviors: Collection[str], own: str) -> None:
         raise TrainerError(
             f"Agents of behavior {others} have come beside those of {own}, but one behavior can be trained; give all "
             f"agents the same Behavior Name and team, or {ELSEWHERE}."
-        )
-
-
-def refuse_group_rewards(steps: DecisionSteps | TerminalSteps) -> None:
-    """Refuses rewards of a group, which no agent's own reward holds.
-
-    Raises:
-        TrainerError: There is one.
-    """
-    if np.count_nonzero(steps.group_reward):
-        row = int(np.flatnonzero(steps.group_reward)[0])
-        raise TrainerError(
-            f"Agent {steps.agent_id[row]} got a group reward of {steps.group_reward[row]:g}, but only agents' own "
-            f"rewards are learned from; give it with AddReward, or {ELSEWHERE}."
         )
 
 

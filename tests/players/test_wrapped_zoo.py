@@ -1,0 +1,127 @@
+"""Environments of others behind ``corridor-server``, wrapped, and trained on with what Stable-Baselines3 has."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import BIN
+from gymnasium import spaces
+from minigrid.wrappers import ImgObsWrapper
+from sb3_contrib import MaskablePPO
+from simulations.zoo import SEED, served
+from stable_baselines3 import PPO
+
+from trainer.players.gym_wrapper import UnityToGymWrapper
+from trainer.players.vec_env import UnityVecEnv
+
+PLATFORM = ("--gym", "gym_platform:Platform-v0")
+MEMORY = ("--gym", "minigrid:MiniGrid-MemoryS7-v0", "--wrapper", "minigrid.wrappers:ImgObsWrapper")
+SPREAD = ("--pettingzoo", "mpe2.simple_spread_v3", "--group")
+
+
+def forbidden_choices(environment: Any) -> Callable[[], tuple[int, int]]:
+    """From here on, how many actions the environment was given, and how many choices of those it had forbidden."""
+    given, forbidden, set_actions = 0, 0, environment.set_actions
+
+    def counted(behavior: str, actions: Any) -> None:
+        nonlocal given, forbidden
+        masks = environment.get_steps(behavior)[0].action_mask
+        for branch, mask in enumerate(masks):
+            forbidden += int(mask[np.arange(len(mask)), actions.discrete[:, branch]].sum())
+        given += len(actions.discrete)
+        set_actions(behavior, actions)
+
+    environment.set_actions = counted
+    return lambda: (given, forbidden)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrap", [UnityVecEnv, UnityToGymWrapper])
+def test_maskable_ppo_keeps_to_the_masks_of_taxi(wrap, free_port, tmp_path):
+    areas = 4 if wrap is UnityVecEnv else 1
+    with served(free_port, tmp_path, "--gym", "Taxi-v4", num_areas=areas) as environment:
+        env, counts = wrap(environment), forbidden_choices(environment)
+        MaskablePPO("MlpPolicy", env, n_steps=1000 // areas, batch_size=250, n_epochs=1, seed=0).learn(2000)
+        assert counts() == (2000, 0)
+        env.reset()  # and one who keeps to none is caught by the count
+        for _ in range(20):
+            env.step(np.zeros(areas, int) if areas > 1 else 0)
+        assert counts()[1] > 0
+
+
+@pytest.mark.slow
+def test_ppo_trains_on_a_picture_and_a_vector(free_port, tmp_path):
+    with served(free_port, tmp_path, "--camera", "40x36", "--camera-raw", num_areas=2) as environment:
+        env = UnityVecEnv(environment)
+        sizes = {name: box.shape for name, box in env.observation_space.spaces.items()}
+        assert sorted(sizes.values()) == [(3, 36, 40), (13,)]
+        observations = env.reset()
+        assert all(env.observation_space[name].contains(part[0]) for name, part in observations.items())
+        (picture,) = (part for part in observations.values() if part.ndim == 4)
+        model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=32, policy_kwargs={"normalize_images": False})
+        layers = model.policy.features_extractor.extractors
+        assert {type(layer).__name__ for layer in layers.values()} == {"NatureCNN", "Flatten"}
+        model.learn(64)
+    assert picture.max() == 1
+
+
+def test_ppo_trains_on_a_picture_too_small_for_convolutions(free_port, tmp_path):
+    with served(free_port, tmp_path, *MEMORY, num_areas=2) as environment:
+        env = UnityVecEnv(environment)
+        assert env.observation_space == spaces.Dict({"obs_0": spaces.Box(0, 1, (3, 7, 7), np.float32)})
+        PPO("MultiInputPolicy", env, n_steps=32, batch_size=32).learn(64)
+
+
+def test_pictures_are_those_in_process_with_their_channels_last(free_port, tmp_path):
+    oracle = ImgObsWrapper(gymnasium.make("MiniGrid-MemoryS7-v0"))
+    with served(free_port, tmp_path, *MEMORY) as environment:
+        env = UnityToGymWrapper(environment, uint8_visual=True)
+        observation, _ = env.reset()
+        assert np.array_equal(observation, oracle.reset(seed=SEED)[0])
+        for _ in range(20):
+            assert np.array_equal(env.step(2)[0], oracle.step(2)[0])
+            assert env.observation_space == spaces.Box(0, 255, (7, 7, 3), np.uint8)
+
+
+def test_both_kinds_of_actions_reach_platform(free_port, tmp_path):
+    with served(free_port, tmp_path, *PLATFORM) as environment:
+        env, ends = UnityToGymWrapper(environment, allow_multiple_obs=True), 0
+        env.action_space.seed(0)
+        assert env.action_space[1] == spaces.MultiDiscrete([3])
+        env.reset()
+        for _ in range(50):
+            observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(observation)
+            if terminated or truncated:
+                ends += 1
+                env.reset()
+        assert ends > 0
+
+
+def test_a_groups_rewards_are_each_agents(free_port, tmp_path):
+    with served(free_port, tmp_path, *SPREAD) as environment:
+        env = UnityVecEnv(environment)
+        env.reset()
+        _, rewards, _, _ = env.step(np.ones(env.num_envs, int))
+        steps, _ = environment.get_steps(env.agents.behavior)
+        assert np.count_nonzero(steps.group_reward) == 3
+        assert np.array_equal(rewards, steps.reward + steps.group_reward)
+
+
+@pytest.mark.slow
+def test_the_examples_in_the_docs_run(free_port, monkeypatch):
+    monkeypatch.setenv("PATH", str(BIN), prepend=":")
+    page = (Path(__file__).parents[2] / "docs" / "unity.md").read_text()
+    setup, *examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert [re.search(r"Unity\w+", each)[0] for each in examples] == [
+        "UnityToGymWrapper",
+        "UnityVecEnv",
+        "UnityVectorEnv",
+        "UnityParallelEnv",
+    ]
+    for example in examples:
+        exec(setup.replace("port=5005", f"port={free_port}") + example, {})
