@@ -271,6 +271,7 @@ class RunConfig(Settings):
         preset_given: Whether the preset was asked for; if not, behaviors' settings may stand in its place.
         behaviors: How each behavior is trained, by its name without its team, in the form of that YAML.
         default_settings: The same of those that are not listed; None if there is no such section.
+        unlisted_settings: The same of any behavior, where there is neither; without a preset, the corridor has its own.
         device: Where networks compute; ``auto`` is a GPU where PyTorch sees one.
 
     Raises:
@@ -300,6 +301,7 @@ class RunConfig(Settings):
     preset_given: bool = dataclasses.field(default=False, compare=False)
     behaviors: dict[str, Any] = dataclasses.field(default_factory=dict)
     default_settings: dict[str, Any] | None = None
+    unlisted_settings: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False)
     device: Device = "auto"
 
     def __post_init__(self) -> None:
@@ -317,11 +319,14 @@ class RunConfig(Settings):
                 "lower it, or train on a build."
             )
         read_behaviors(self.behaviors, self.default_settings)
+        read_behaviors({}, self.unlisted_settings)
         Curricula(self.environment_parameters)
 
     def settings_for(self, behavior: str) -> BehaviorSettings:
         """How a behavior, with or without its team, is trained; see the function of that name for what is refused."""
-        return settings_for(behavior, *read_behaviors(self.behaviors, self.default_settings))
+        nothing_said = not self.behaviors and self.default_settings is None
+        default = self.unlisted_settings if nothing_said else self.default_settings
+        return settings_for(behavior, *read_behaviors(self.behaviors, default))
 
     def check_behaviors(self, found: Iterable[str]) -> None:
         """Refuses an environment whose behaviors are not those that settings and lessons are for.
@@ -358,4 +363,5 @@ class RunConfig(Settings):
         engine = EngineConfig.recorded(values.get("engine", {}))
         kind = OTHERS.get(values["algo"])
         other = None if kind is None else kind(**values["other"])
+        values = {"preset_given": True, **values}  # of before, every run had one
         return cls(**{**values, "ppo": ppo, "curiosity": curiosity, "engine": engine, "other": other})

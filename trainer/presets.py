@@ -7,6 +7,8 @@ from typing import Any
 from trainer.config import OTHERS, Algorithm, CuriosityConfig, Intrinsic, PPOConfig, PresetName, RunConfig
 from trainer.corridor import CORRIDOR, DEFAULT_PENALTY
 
+CURIOSITY_RATIO = 0.3  # what the case studies have
+
 
 @dataclass(frozen=True)
 class Preset:

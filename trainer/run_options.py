@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from corridor_server.shared.given import mapping_of, read_text, shown
-from trainer.behavior_settings import BehaviorSettings
-from trainer.config import Device, EngineConfig, Restarts
+from trainer.behavior_settings import BehaviorSettings, CuriositySignal, RewardSignal, RewardSignals, RNDSignal
+from trainer.config import Device, EngineConfig, Intrinsic, Restarts
 from trainer.corridor import PENALTY, check_parameter
 from trainer.curriculum import Curricula, read_lessons
 from trainer.errors import SettingError, TrainerError
@@ -177,18 +177,25 @@ class RunOptions:
         settings = settings or [self.default_settings]
         return max((each.max_steps for each in settings if each is not None), default=None)
 
-    def trained_for(self, steps: int | None) -> tuple[dict[str, Any], dict[str, Any] | None]:
-        """The sections ``behaviors`` and ``default_settings`` as a run records them.
+    def recorded(
+        self, steps: int | None, c: float | None, intrinsic: Intrinsic
+    ) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any]]:
+        """The sections ``behaviors`` and ``default_settings`` as a run records them, and what goes without both.
 
         Args:
             steps: Instead of every ``max_steps``; None leaves them.
+            c: Strength of the intrinsic reward, 0 for none; None leaves it.
+            intrinsic: Which one.
         """
 
-        def recorded(settings: BehaviorSettings) -> dict[str, Any]:
-            return (settings if steps is None else replace(settings, max_steps=steps)).as_dict()
+        def changed(settings: BehaviorSettings) -> dict[str, Any]:
+            signals = settings.reward_signals if c is None else _curious(settings.reward_signals, c, intrinsic)
+            steps_or_own = settings.max_steps if steps is None else steps
+            return replace(settings, max_steps=steps_or_own, reward_signals=signals).as_dict()
 
-        behaviors = {name: recorded(each) for name, each in self.behaviors.items()}
-        return behaviors, None if self.default_settings is None else recorded(self.default_settings)
+        behaviors = {name: changed(each) for name, each in self.behaviors.items()}
+        default = None if self.default_settings is None else changed(self.default_settings)
+        return behaviors, default, changed(BehaviorSettings())
 
     def parameters(self, texts: Sequence[str], env_is_ours: bool) -> dict[str, Any]:
         """Environment parameters of the command line (``NAME=NUMBER``) over those of the file, checked.
@@ -242,6 +249,15 @@ class RunOptions:
 
     def _named(self, error: SettingError) -> TrainerError:
         return error if self.place is None else self.place.named(error)
+
+
+def _curious(signals: RewardSignals, c: float, intrinsic: Intrinsic) -> RewardSignals:
+    extrinsic = signals.extrinsic or RewardSignal()
+    if c == 0:
+        return RewardSignals(extrinsic)
+    if intrinsic == "rnd":
+        return RewardSignals(extrinsic, rnd=replace(signals.rnd or RNDSignal(), strength=c))
+    return RewardSignals(extrinsic, curiosity=replace(signals.curiosity or CuriositySignal(), strength=c))
 
 
 def _sections(values: Mapping[Any, Any]) -> dict[str, Any]:

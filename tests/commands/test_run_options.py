@@ -111,7 +111,7 @@ def test_what_mlagents_learn_records_of_a_run(read):
 @pytest.mark.parametrize("text", [PYRAMIDS, BALANCE, WALL_JUMP, RECORDED])
 def test_what_a_run_records_is_such_a_file_again(read, text):
     options = read(text)
-    behaviors, default = options.trained_for(None)
+    behaviors, default, _ = options.recorded(None, None, "icm")
     again = read(yaml.safe_dump({"behaviors": behaviors, "default_settings": default}))
     assert (again.behaviors, again.default_settings) == (options.behaviors, options.default_settings)
 

@@ -22,7 +22,7 @@ from trainer.config import (
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
 from trainer.options import Count, Options, Seed, env_args_of_another
-from trainer.presets import PRESETS, preset_run
+from trainer.presets import CURIOSITY_RATIO, PRESETS, preset_run
 from trainer.run_options import RunOptions
 from trainer.signals import INTERRUPTED
 
@@ -51,8 +51,10 @@ class Train(Options):
     """mlagents-learn's YAML; flags win over it, and it over the preset."""
     env: str = "builtin"
     """builtin (our corridor), editor (the Unity editor, port 5004), a build's path, or HOST:PORT to listen on."""
-    c: Annotated[float, Range(0, 1000)] = 0.3
-    """The paper's curiosity ratio; 0 is base PPO."""
+    c: Annotated[
+        float | None, Range(0, 1000), tyro.conf.arg(help_behavior_hint="(default: 0.3 on the corridor, none elsewhere)")
+    ] = None
+    """The paper's curiosity ratio, elsewhere the strength of curiosity; 0 is base PPO."""
     seed: Seed = 0
     """Decides the run."""
     num_envs: Count = 1
@@ -171,11 +173,11 @@ class Train(Options):
             raise TrainerError("The run has no name; give it one with --run-id.")
         said, ours = self.said or self._read() or RunOptions(), self.env == "builtin"
         engine: dict[str, Any] = dict(self.engine)
-        behaviors, default = said.trained_for(self.training.steps)
+        behaviors, default, unlisted = said.recorded(self.training.steps, self.c, self.intrinsic)
         config = preset_run(
             self.run_id,
             self.training.preset or PRESET,
-            c=self.c,
+            c=CURIOSITY_RATIO if self.c is None else self.c,
             seed=self.seed,
             steps=self.training.steps or said.max_steps or PAPER_STEPS,
             env=self.env,
@@ -192,6 +194,7 @@ class Train(Options):
             preset_given=self.training.preset is not None,
             behaviors=behaviors,
             default_settings=default,
+            unlisted_settings={} if ours else unlisted,  # the corridor has its preset
             device=self.device,
         )
         if ours:

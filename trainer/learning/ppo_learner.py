@@ -24,6 +24,7 @@ from trainer.learning.ppo_update import PPOUpdate, minibatches, tensor, tensors
 from trainer.learning.rewards import Signal
 from trainer.learning.transitions import Decided, Observed, Singles, Transitions, advantages, joined
 
+CPU = torch.device("cpu")
 WINDOW = 100  # episodes that running means are over
 LOSS_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",
@@ -48,7 +49,8 @@ class PPOLearner:
         behavior: What its agents observe and do.
         settings: How it is learned.
         signals: The rewards that it is learned from.
-        seed: Of the networks' initial weights and the minibatches.
+        seed: Of the minibatches.
+        device: Where its networks compute.
 
     Attributes:
         updates: How many updates were made.
@@ -58,7 +60,14 @@ class PPOLearner:
         recent: Of the last episodes, ``returns``, ``lengths`` and, as far as it was paid, ``intrinsic`` rewards.
     """
 
-    def __init__(self, behavior: Behavior, settings: BehaviorSettings, signals: tuple[Signal, ...], seed: int) -> None:
+    def __init__(
+        self,
+        behavior: Behavior,
+        settings: BehaviorSettings,
+        signals: tuple[Signal, ...],
+        seed: int,
+        device: torch.device = CPU,
+    ) -> None:
         assert isinstance(settings.hyperparameters, PPOHyperparameters)
         self.behavior, self.settings, self._own = behavior, settings, settings.hyperparameters
         self._signals = signals
@@ -73,6 +82,8 @@ class PPOLearner:
             value_heads=self._heads,
             shared_critic=self._own.shared_critic,
         )
+        self._device = device
+        self.policy.to(device)
         self._ppo = PPOUpdate(self.policy, self._own)
         self.observations = ObservationScaling(behavior, network.normalize)
         self.experience = Experience(behavior, self._heads, settings.time_horizon)
@@ -161,8 +172,10 @@ class PPOLearner:
             return {}
         observed = joined([each.observed for each in waiting])
         deterministic = self._plays or self.settings.network_settings.deterministic
-        acted = self.policy.act(tensors(observed.observations), tensor(observed.allowed), deterministic)
-        decided = Decided(*(part.numpy() for part in acted))
+        acted = self.policy.act(
+            tensors(observed.observations, self._device), tensor(observed.allowed, self._device), deterministic
+        )
+        decided = Decided(*(part.cpu().numpy() for part in acted))
         self._check_finite(decided)
         actions, start = {}, 0
         for player, behavior, own, asking in waiting:
@@ -180,7 +193,7 @@ class PPOLearner:
         """Makes an update of what was taken; agents that wait are decided for with the new policy."""
         for each in self._waiting:
             if each.asking is not None:
-                values = self.policy.values(tensors(each.observed.observations)).numpy()
+                values = self._values(each.observed.observations)
                 self.experience.estimate(each.asking.transitions, values)
         transitions, moved = self.experience.take([each.asking for each in self._waiting if each.asking is not None])
         progress = self.progress
@@ -201,7 +214,7 @@ class PPOLearner:
 
     def weights(self) -> dict[str, NDArray[Any]]:
         """The policy's parameters by their names; views."""
-        return {name: each.numpy() for name, each in self.policy.state_dict().items()}
+        return {name: each.cpu().numpy() for name, each in self.policy.state_dict().items()}
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, between two messages: arrays and plain values, by ``<part>/<name>``."""
@@ -264,7 +277,7 @@ class PPOLearner:
         transitions = self.experience.end(player, behavior, ended, observations)
         counts = np.where(ended.interrupted[:, None], np.float32(1), self._after_end)
         if counts.any():
-            self.experience.estimate(transitions, self.policy.values(tensors(observations)).numpy() * counts)
+            self.experience.estimate(transitions, self._values(observations) * counts)
         for episode in self.experience.ended:
             self.episodes += 1
             self.ended_returns.append(episode.total)
@@ -273,9 +286,13 @@ class PPOLearner:
             self._over.append(episode.number)
         self.experience.ended.clear()
 
+    def _values(self, observations: tuple[Singles, ...]) -> Singles:
+        values: Singles = self.policy.values(tensors(observations, self._device)).cpu().numpy()
+        return values
+
     def _rewards(self, transitions: Transitions) -> list[Singles]:
         """Of each signal, (n,), times its strength."""
-        columns = _columns(transitions)
+        columns = _columns(transitions, self._device)
         found = [
             (transitions.rewards if signal.module is None else signal.module.reward(*columns))
             * np.float32(signal.strength)
@@ -305,13 +322,13 @@ class PPOLearner:
         return stacked.mean(axis=1), stacked + transitions.decided.values
 
     def _learn_signals(self, transitions: Transitions) -> None:
-        seen, continuous, discrete, then = _columns(transitions)
+        seen, continuous, discrete, then = _columns(transitions, self._device)
         for signal in self._signals:
             if signal.module is None:
                 continue
             losses = []
             for indices in minibatches(len(transitions), self._own.batch_size, self._generator):
-                rows = torch.from_numpy(indices)
+                rows = torch.from_numpy(indices).to(self._device)
                 before, after = ([each[rows] for each in part] for part in (seen, then))
                 losses.append(signal.module.learn(before, continuous[rows], discrete[rows], after))
             for name in losses[0]:
@@ -325,11 +342,13 @@ class PPOLearner:
             )
 
 
-def _columns(transitions: Transitions) -> tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]:
+def _columns(
+    transitions: Transitions, device: torch.device
+) -> tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]:
     """Of what an intrinsic reward is made."""
     decided, seen = transitions.decided, transitions.observed.observations
-    continuous, discrete = tensors((decided.continuous, decided.discrete))
-    return tensors(seen), continuous, discrete, tensors(transitions.next_observations)
+    continuous, discrete = tensors((decided.continuous, decided.discrete), device)
+    return tensors(seen, device), continuous, discrete, tensors(transitions.next_observations, device)
 
 
 def part_of(state: Mapping[str, Any], part: str) -> dict[str, Any]:

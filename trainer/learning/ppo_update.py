@@ -57,13 +57,14 @@ class PPOUpdate:
         beta = scheduled(own.beta, LEAST_BETA, own.beta_schedule, progress)
         self._optimizer.param_groups[0]["lr"] = rate
         observed, decided = transitions.observed, transitions.decided
-        observations, allowed = tensors(observed.observations), tensor(observed.allowed)
-        continuous, discrete, old_log_probs, _ = map(torch.from_numpy, decided)
-        advantage, target = torch.from_numpy(advantages), torch.from_numpy(returns)
+        device = self._policy.log_std.device
+        observations, allowed = tensors(observed.observations, device), tensor(observed.allowed, device)
+        continuous, discrete, old_log_probs, _ = tensors(decided, device)
+        advantage, target = tensors((advantages, returns), device)
         measures = []
         for _ in range(own.num_epoch):
             for indices in minibatches(len(transitions), own.batch_size, generator):
-                rows = torch.from_numpy(indices)
+                rows = torch.from_numpy(indices).to(device)
                 values, log_probs, entropy = self._policy.evaluate(
                     tuple(each[rows] for each in observations),
                     None if allowed is None else allowed[rows],
@@ -98,7 +99,7 @@ class PPOUpdate:
         state = {}
         for number, parameter in enumerate(self._policy.parameters()):
             for kind, value in self._optimizer.state[parameter].items():
-                state[f"{kind}_{number}"] = value.numpy()
+                state[f"{kind}_{number}"] = value.cpu().numpy()
         return state
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -110,7 +111,7 @@ class PPOUpdate:
         if state:
             for number, parameter in enumerate(self._policy.parameters()):
                 self._optimizer.state[parameter] = {
-                    kind: torch.from_numpy(state[f"{kind}_{number}"].copy()) for kind in MOMENTS
+                    kind: torch.from_numpy(state[f"{kind}_{number}"].copy()).to(parameter.device) for kind in MOMENTS
                 }
 
     def _descend(
@@ -155,11 +156,11 @@ def minibatches(count: int, size: int, generator: np.random.Generator) -> Iterat
     yield from np.array_split(generator.permutation(count), max(1, round(count / size)))
 
 
-def tensors(arrays: Sequence[NDArray[Any]]) -> tuple[Tensor, ...]:
-    """Arrays as torch has them; views."""
-    return tuple(map(torch.from_numpy, arrays))
+def tensors(arrays: Sequence[NDArray[Any]], device: torch.device) -> tuple[Tensor, ...]:
+    """Arrays as torch has them there; on the CPU views."""
+    return tuple(torch.from_numpy(each).to(device) for each in arrays)
 
 
-def tensor(array: NDArray[Any] | None) -> Tensor | None:
+def tensor(array: NDArray[Any] | None, device: torch.device) -> Tensor | None:
     """The same of one that may not be there."""
-    return None if array is None else torch.from_numpy(array)
+    return None if array is None else torch.from_numpy(array).to(device)

@@ -85,7 +85,7 @@ class CuriosityModule:
             return np.zeros(len(continuous), np.float32)
         features, next_features = self._features(observations, next_observations)
         surprise: Tensor = self._surprise(features, next_features, self._taken(continuous, discrete))
-        reward: NDArray[np.float32] = surprise.clamp(max=self._limit).numpy()
+        reward: NDArray[np.float32] = surprise.clamp(max=self._limit).cpu().numpy()
         return reward
 
     def losses(
@@ -182,7 +182,7 @@ class RNDModule:
         self, observations: Observations, continuous: Tensor, discrete: Tensor, next_observations: Observations
     ) -> NDArray[np.float32]:
         """The squared distance between predicted and actual features of the observations, (n,)."""
-        reward: NDArray[np.float32] = self._errors(observations).numpy()
+        reward: NDArray[np.float32] = self._errors(observations).cpu().numpy()
         return reward
 
     def learn(
@@ -265,9 +265,13 @@ def _state(networks: nn.Module, adam: torch.optim.Adam) -> dict[str, Any]:
     moments = {}
     for name, kind in MOMENTS.items():
         parts = [state.get(kind, torch.zeros_like(each)) for state, each in zip(states, learning, strict=True)]
-        moments[name] = torch.cat([part.flatten() for part in parts]).numpy()
+        moments[name] = torch.cat([part.flatten() for part in parts]).cpu().numpy()
     steps = max((int(state["step"]) for state in states if state), default=0)
-    return {**{name: each.numpy().copy() for name, each in networks.state_dict().items()}, **moments, "steps": steps}
+    return {
+        **{name: each.cpu().numpy().copy() for name, each in networks.state_dict().items()},
+        **moments,
+        "steps": steps,
+    }
 
 
 def _restore(networks: nn.Module, adam: torch.optim.Adam, state: Mapping[str, Any]) -> None:
@@ -277,7 +281,10 @@ def _restore(networks: nn.Module, adam: torch.optim.Adam, state: Mapping[str, An
     if not state["steps"]:
         return
     sizes = [each.numel() for each in learning]
-    split = {kind: torch.split(torch.from_numpy(state[name].copy()), sizes) for name, kind in MOMENTS.items()}
+    split = {
+        kind: torch.split(torch.from_numpy(state[name].copy()).to(learning[0].device), sizes)
+        for name, kind in MOMENTS.items()
+    }
     for number, each in enumerate(learning):
         moments = {kind: parts[number].reshape(each.shape).clone() for kind, parts in split.items()}
         adam.state[each] = {"step": torch.tensor(float(state["steps"])), **moments}

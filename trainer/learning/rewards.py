@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior
@@ -57,13 +58,16 @@ class Signal(NamedTuple):
     module: IntrinsicReward | None = None
 
 
-def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> tuple[Signal, ...]:
+def build_signals(
+    behavior: Behavior, settings: BehaviorSettings, seed: int, device: torch.device
+) -> tuple[Signal, ...]:
     """The rewards that a behavior's settings ask for, the environment's first.
 
     Args:
         behavior: What its agents observe and do.
         settings: How it is trained.
         seed: Of the networks' initial weights.
+        device: Where they compute.
     """
     asked, found = settings.reward_signals, list[Signal]()
     if asked.extrinsic is not None:
@@ -80,6 +84,7 @@ def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> 
             goal_conditioning_type=network.goal_conditioning_type,
             seed=seed,
         )
+        curiosity.networks.to(device)
         found.append(Signal("curiosity", signal.strength, signal.gamma, curiosity))
     if asked.rnd is not None:
         own, network = asked.rnd, asked.rnd.network_settings
@@ -92,5 +97,6 @@ def build_signals(behavior: Behavior, settings: BehaviorSettings, seed: int) -> 
             goal_conditioning_type=network.goal_conditioning_type,
             seed=seed,
         )
+        novelty.networks.to(device)
         found.append(Signal("rnd", own.strength, own.gamma, novelty))
     return tuple(found)

@@ -9,6 +9,7 @@ import numpy as np
 from corridor_server.protocol.agents import ActionBatch, Behavior, Sensor
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.learning.device import device_for
 from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
 from trainer.players.scene import Message, Scene
@@ -131,7 +132,8 @@ class BehaviorLearners:
 
     def _new(self, name: str, behavior: Behavior) -> PPOLearner:
         settings, seed = self._config.settings_for(name), self._config.seed
-        learner = PPOLearner(behavior, settings, build_signals(behavior, settings, seed), seed)
+        device = device_for(self._config.device, behavior, settings.network_settings)
+        learner = PPOLearner(behavior, settings, build_signals(behavior, settings, seed, device), seed, device)
         if settings.init_path is not None:
             path = Path(settings.init_path)
             _load(

@@ -243,13 +243,15 @@ class RunFolder:
 def _differences(one: RunConfig, other: RunConfig) -> dict[str, tuple[Any, Any]]:
     """Settings that differ, and what each has."""
     before, now = _flat(one.as_dict()), _flat(other.as_dict())
-    names = sorted((before.keys() | now.keys()) - set(DERIVED))
-    return {name: (before.get(name), now.get(name)) for name in names if before.get(name) != now.get(name)}
+    names = (before.keys() | now.keys()) - set(DERIVED)
+    if not (one.unlisted_settings and other.unlisted_settings):  # of before, or a corridor's
+        names = {name for name in names if not name.startswith("unlisted_settings")}
+    return {name: (before.get(name), now.get(name)) for name in sorted(names) if before.get(name) != now.get(name)}
 
 
 def _may_change(name: str) -> bool:
     first, _, rest = name.partition(".")
-    if first in ("behaviors", "default_settings"):
+    if first in ("behaviors", "default_settings", "unlisted_settings"):
         return rest.rpartition(".")[2] in MAY_CHANGE_OF_A_BEHAVIOR
     return first in MAY_CHANGE
 
