@@ -33,6 +33,9 @@ LOSS_TAGS = {
 }
 
 
+_Columns = tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]
+
+
 class _Waiting(NamedTuple):
     """Agents of one player and behavior that wait for an action."""
 
@@ -342,9 +345,7 @@ class PPOLearner:
             )
 
 
-def _columns(
-    transitions: Transitions, device: torch.device
-) -> tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]:
+def _columns(transitions: Transitions, device: torch.device) -> _Columns:
     """Of what an intrinsic reward is made."""
     decided, seen = transitions.decided, transitions.observed.observations
     continuous, discrete = tensors((decided.continuous, decided.discrete), device)

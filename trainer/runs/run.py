@@ -132,6 +132,10 @@ def _learn(
                 logs.folder, logs.stay = folder.logs, True
 
             return learn_scene(config, folder, players, counters, begin_scene, checkpoint, episodes)
+        if config.device == "cuda":
+            raise TrainerError(
+                "--device cuda has no effect on this run, whose networks are too small for a GPU; leave it out."
+            )
         if checkpoint is None and config.penalty != DEFAULT_PENALTY and not is_corridor(players.behavior):
             raise TrainerError(
                 f"--penalty {config.penalty:g} is for a corridor, but behavior {players.behavior} has rewards of its "
