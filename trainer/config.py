@@ -328,6 +328,27 @@ class RunConfig(Settings):
         default = self.unlisted_settings if nothing_said else self.default_settings
         return settings_for(behavior, *read_behaviors(self.behaviors, default))
 
+    def sections(self, found: Iterable[str]) -> dict[str, Any]:
+        """The run in the form of ``mlagents-learn``'s YAML.
+
+        Args:
+            found: The environment's behaviors, with or without their teams.
+        """
+        names = dict.fromkeys(each.partition("?")[0] for each in found)
+        default = self.default_settings if self.behaviors or self.default_settings else self.unlisted_settings
+        environment = {"env_path": self.env, "env_args": self.env_args, "num_envs": self.num_envs}
+        parameters = {
+            name: value for name, value in self.environment_parameters.items() if name not in self.preset_parameters
+        }
+        return {
+            "behaviors": {name: self.settings_for(name).as_dict() for name in names},
+            **({} if default is None else {"default_settings": default}),
+            "env_settings": {**environment, "num_areas": self.num_areas, "seed": self.seed},
+            "engine_settings": dataclasses.asdict(self.engine),
+            "environment_parameters": parameters,
+            "torch_settings": {"device": self.device},
+        }
+
     def check_behaviors(self, found: Iterable[str]) -> None:
         """Refuses an environment whose behaviors are not those that settings and lessons are for.
 

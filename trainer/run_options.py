@@ -28,6 +28,7 @@ SECTIONS = (
     "checkpoint_settings",
     "torch_settings",
 )
+OF_A_RUN = ("run", "versions", "machine", "specs", "behavior", "agents_per_player")  # its record's further sections
 OF_BEFORE = {  # ML-Agents 0.18
     "parameter_randomization": "samplers stand under environment_parameters",
     "curriculum": "lessons stand under environment_parameters",
@@ -263,6 +264,8 @@ def _curious(signals: RewardSignals, c: float, intrinsic: Intrinsic) -> RewardSi
 def _sections(values: Mapping[Any, Any]) -> dict[str, Any]:
     """What is in the sections of a file, as ``RunOptions`` has it."""
     given = {name: value for name, value in values.items() if value is not None}  # all its lines may be comments
+    if "run" in given:
+        given = {name: value for name, value in given.items() if name not in OF_A_RUN}
     for name in given:
         if name in OF_BEFORE:
             raise SettingError(f"The section {name} is of ML-Agents before 0.18; {OF_BEFORE[name]} now.", name)

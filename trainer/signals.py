@@ -8,6 +8,7 @@ import time
 from _thread import start_new_thread
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -30,12 +31,14 @@ class _Stop:
         ending: Whether the process is being ended.
         holds: How many things that must not be cut are under way.
         listener: Stops cleanly when told to.
+        folders: Temporary ones, which go when the process does.
     """
 
     def __init__(self) -> None:
         self.asked = self.interrupted = self.clean = self.waits = self.ending = False
         self.holds = 0
         self.listener: StopSignals | None = None
+        self.folders: set[Path] = set()
 
     def receive(self, number: int, frame: FrameType | None) -> None:
         """The handler of every stop signal; like all handlers, it runs in the main thread."""
@@ -134,6 +137,27 @@ def deferred() -> Iterator[None]:
             _stop.act()
 
 
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A folder for a while, which no end of this process leaves behind."""
+    import tempfile  # not before the first signal can be answered
+
+    with deferred():
+        folder = Path(tempfile.mkdtemp(prefix="corridor-"))
+        _stop.folders.add(folder)
+    try:
+        yield folder
+    finally:
+        _remove(folder)
+        _stop.folders.discard(folder)
+
+
+def _remove(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
+
+
 def kill_with_descendants(process_id: int) -> None:
     """Kills a process and all that it started, and waits a moment for their end."""
     import psutil  # not before the first signal can be answered
@@ -170,6 +194,9 @@ def _end_process(message: str = "") -> NoReturn:
     _stop.ending = True
     with suppress(Exception):
         kill_with_descendants(os.getpid())
+    with suppress(Exception):
+        for folder in _stop.folders:
+            _remove(folder)
     for stream in (1, 2):
         with suppress(OSError):
             if os.isatty(stream):  # a display that was cut has hidden the cursor

@@ -2,6 +2,7 @@
 
 import random
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -37,3 +38,24 @@ def test_a_player_that_does_not_dial_is_not_waited_for(tmp_path):
     train = ("train", "--run-id", "r", "--results-dir", tmp_path, "--base-port", unused_port(), "--env", player)
     end = interrupted(list(map(str, train)), Interrupt(signal.SIGTERM, 6.0, None, False), tmp_path)
     assert not end.faults, end
+
+
+NOBODY_IS_LEFT = """
+import os, signal, sys
+from trainer.signals import ended_by_signals, temporary_folder
+with ended_by_signals():
+    with temporary_folder() as folder:
+        (folder / "file").write_text("x")
+        print(folder, flush=True)
+        for _ in range({signals}):
+            os.kill(os.getpid(), signal.SIGINT)
+"""
+
+
+@pytest.mark.parametrize("signals", [0, 1, 2])
+def test_no_end_leaves_a_temporary_folder_behind(signals):
+    done = subprocess.run(
+        [sys.executable, "-c", NOBODY_IS_LEFT.format(signals=signals)], capture_output=True, text=True
+    )
+    folder = Path(done.stdout.split()[0])
+    assert (done.returncode, folder.exists()) == (130 if signals else 0, False), done.stderr

@@ -4,15 +4,14 @@ import json
 import statistics
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 from trainer.bench.instant_trainer import instant_trainer
 from trainer.bench.workload import Workload
 from trainer.errors import TrainerError
+from trainer.signals import temporary_folder
 
 
 def preset_rates(port: int, workload: Workload) -> list[dict[str, Any]]:
@@ -62,13 +61,13 @@ def player_rates(port: int, workload: Workload) -> list[dict[str, Any]]:
 def _train_in_turn(kinds: Mapping[Any, list[str]], port: int, workload: Workload) -> dict[Any, list[dict[str, Any]]]:
     """Summaries of the runs with each kind's options."""
     summaries: dict[Any, list[dict[str, Any]]] = {kind: [] for kind in kinds}
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         for kind, options in [*kinds.items()] * workload.train_rounds:
             steps = workload.train_steps["paper" if "paper" in options else "fast"]
-            command = [sys.executable, "-m", "trainer.main", "train", "--run-id", "bench", "--results-dir", folder]
+            command = [sys.executable, "-m", "trainer.main", "train", "--run-id", "bench", "--results-dir", str(folder)]
             command += ["--force", "--steps", str(steps), "--base-port", str(port), "--eval-episodes", "1", *options]
             run = subprocess.run(command, capture_output=True, text=True)
             if run.returncode:
                 raise TrainerError(f"A training run failed: {run.stderr.strip().splitlines()[-1]}")
-            summaries[kind].append(json.loads((Path(folder) / "bench" / "summary.json").read_text()))
+            summaries[kind].append(json.loads((folder / "bench" / "summary.json").read_text()))
     return summaries

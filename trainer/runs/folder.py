@@ -138,15 +138,20 @@ class RunFolder:
         players = {"behavior": behavior, "agents_per_player": agents}
         write_whole(self.configuration, yaml.safe_dump({**run, **players}, sort_keys=False))
 
-    def record_scene(self, config: RunConfig, behaviors: Mapping[str, Any]) -> None:
-        """Writes ``configuration.yaml`` of a run of any behaviors.
+    def record_scene(self, config: RunConfig, behaviors: Mapping[str, Any], agents: int) -> None:
+        """Writes ``configuration.yaml`` of a run of any behaviors, which ``corridor train`` takes as its file, too.
 
         Args:
             config: The run's settings.
-            behaviors: What each observes and does, as plain values.
+            behaviors: What each observes and does, as plain values, by full names.
+            agents: How many the first player had at first.
         """
-        run = {"run": config.as_dict(), "versions": versions(), "machine": machine(), "specs": dict(behaviors)}
-        write_whole(self.configuration, yaml.safe_dump(run, sort_keys=False))
+        sections = config.sections(behaviors)
+        run = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
+        players = {"specs": dict(behaviors), "agents_per_player": agents}
+        if len(behaviors) == 1:
+            players["behavior"] = next(iter(behaviors.values()))
+        write_whole(self.configuration, yaml.safe_dump({**sections, **run, **players}, sort_keys=False))
 
     def read_checkpoint(self, config: RunConfig, name: str | None = None) -> Checkpoint:
         """Reads a checkpoint of the run; the newest without a name.

@@ -7,7 +7,6 @@ for discrete ones the same three with ``discrete``. Normalisation of the observa
 inside.
 """
 
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from trainer.players.slots import Slots
 from trainer.players.vec_env import action_space, observation_space
 from trainer.runs.folder import RunFolder
 from trainer.runs.training import load_trained
+from trainer.signals import temporary_folder
 
 OPSET = 9  # ML-Agents' own, which every version of Unity's inference reads
 API_VERSION = 3.0  # ModelApiVersion.MLAgents2_0
@@ -176,8 +176,8 @@ class _DiscreteActor(_Actor):
 def _traced(
     network: nn.Module, inputs: list[Tensor], names: list[str], outputs: list[str], batched: list[str]
 ) -> bytes:
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        path = Path(folder) / "policy.onnx"
+    with temporary_folder() as folder, warnings.catch_warnings():
+        path = folder / "policy.onnx"
         # torch calls this exporter deprecated, but its newer one begins at opset 18.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(

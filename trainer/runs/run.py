@@ -1,7 +1,7 @@
 """What ``corridor train`` and ``corridor evaluate`` do: a run from the player's start to its files."""
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from trainer.players.opening import open_players, open_slots
 from trainer.players.scene import Scene
 from trainer.players.several import Players
 from trainer.runs.behavior_learners import plain_behavior
-from trainer.runs.checkpoint import checkpoints
+from trainer.runs.checkpoint import Checkpoint, checkpoints
 from trainer.runs.counters import Counters
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
@@ -126,21 +126,21 @@ def _learn(
     ) as players:
         if isinstance(players, Scene):
 
-            def begin_scene() -> None:
-                drafted.record_scene(config, {name: plain_behavior(each) for name, each in players.behaviors.items()})
+            def begin_scene(agents: int) -> None:
+                described = {name: plain_behavior(each) for name, each in players.behaviors.items()}
+                drafted.record_scene(config, described, agents)
                 draft.publish()
                 logs.folder, logs.stay = folder.logs, True
+                if agents < config.num_areas:
+                    _say_who_came(config.num_areas, agents)
 
+            _check_penalty(config, players.behaviors, checkpoint)
             return learn_scene(config, folder, players, counters, begin_scene, checkpoint, episodes)
         if config.device == "cuda":
             raise TrainerError(
                 "--device cuda has no effect on this run, whose networks are too small for a GPU; leave it out."
             )
-        if checkpoint is None and config.penalty != DEFAULT_PENALTY and not is_corridor(players.behavior):
-            raise TrainerError(
-                f"--penalty {config.penalty:g} is for a corridor, but behavior {players.behavior} has rewards of its "
-                "own; leave it out."
-            )
+        _check_penalty(config, [players.behavior], checkpoint)
 
         def begin() -> None:
             drafted.record(config, behavior_record(players.behavior, players.behavior_spec), players.areas)
@@ -279,6 +279,15 @@ def _written_to(folder: RunFolder) -> Iterator[None]:
 
 def _is_inside(folder: RunFolder, name: object) -> bool:
     return Path(str(name)).absolute().is_relative_to(folder.path.absolute())
+
+
+def _check_penalty(config: RunConfig, behaviors: Collection[str], checkpoint: Checkpoint | None) -> None:
+    """Refuses a penalty where there is no corridor to subtract it."""
+    if checkpoint is None and config.penalty != DEFAULT_PENALTY and not any(map(is_corridor, behaviors)):
+        raise TrainerError(
+            f"--penalty {config.penalty:g} is for a corridor, but behavior {', '.join(behaviors)} has rewards of its "
+            "own; leave it out."
+        )
 
 
 def _say_who_came(asked: int, came: int) -> None:

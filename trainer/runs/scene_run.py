@@ -52,7 +52,7 @@ def learn_scene(
     folder: RunFolder,
     scene: Scene,
     counters: Counters,
-    begin: Callable[[], None],
+    begin: Callable[[int], None],
     checkpoint: Checkpoint | None,
     episodes: int,
 ) -> LearnedScene:
@@ -63,7 +63,7 @@ def learn_scene(
         folder: Where its results go.
         scene: Its players.
         counters: Of the checkpoint, or new ones.
-        begin: Called before anything is written.
+        begin: Called before anything is written, with the number of agents that the first player has at first.
         checkpoint: Of a resumed run.
         episodes: Of the evaluation.
 

@@ -73,11 +73,12 @@ class SceneTraining:
         """The environment parameters of the present lessons."""
         return scene_parameters(self._config, self._curricula)
 
-    def train(self, begin: Callable[[], None]) -> bool:
+    def train(self, begin: Callable[[int], None]) -> bool:
         """Trains until every behavior has taken its steps, a signal, or an error; whatever ends it, the run is saved.
 
         Args:
-            begin: Called before anything is written, once everything is known to fit.
+            begin: Called before anything is written, once everything is known to fit, with the number of agents that
+                the first player has at first.
 
         Returns:
             Whether all steps were taken; False if a signal ended it before.
@@ -87,7 +88,7 @@ class SceneTraining:
         """
         learners, scene, counters = self.learners, self._scene, self._counters
         learners.take(self._messages, again=self._goes_on)
-        begin()
+        begin(sum(len(agents) for agents in self._messages[0].asking.values()))
         started, earlier = time.monotonic(), replace(counters)
         with ProgressDisplay() as display, StopSignals() as signals:
             try:

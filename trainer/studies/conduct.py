@@ -1,13 +1,12 @@
 """What ``corridor study`` does: plans, has the missing runs executed, and reports."""
 
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from pathlib import Path
 
 from trainer.config import PresetName
 from trainer.runs.folder import machine, versions
+from trainer.signals import temporary_folder
 from trainer.studies.display import StudyDisplay
 from trainer.studies.executors import Executor, RunOutcome, Task
 from trainer.studies.plan import Study
@@ -83,9 +82,9 @@ def run_study(
         machine=machine(),
     )
     report = Report(study, runs, failures, facts)
-    with tempfile.TemporaryDirectory() as temporary:
-        report.write(Path(temporary))
-        for file in sorted(Path(temporary).iterdir()):
+    with temporary_folder() as temporary:
+        report.write(temporary)
+        for file in sorted(temporary.iterdir()):
             store.put(file, f"{study.name}/{file.name}")
     report.show(console)
     console.print(f"Report: {store.place}/{study.name}/report.md")

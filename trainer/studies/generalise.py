@@ -8,7 +8,6 @@ counts.
 import csv
 import dataclasses
 import json
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +36,7 @@ from trainer.runs.evaluation import evaluate, summarise
 from trainer.runs.folder import RunFolder
 from trainer.runs.training import load_trained
 from trainer.seeds import evaluation_seed
+from trainer.signals import temporary_folder
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED
 from trainer.studies.executors import free_port
@@ -193,13 +193,13 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
     changed = dataclasses.replace(config, environment_parameters=parameters, num_envs=1)
     if config.env == BUILTIN:
         changed = dataclasses.replace(changed, through_gym=False, num_areas=min(AREAS, episodes))
-    with tempfile.TemporaryDirectory() as temporary:
+    with temporary_folder() as temporary:
         if change.opponents is not None:
-            file = Path(temporary) / "corridor.json"
+            file = temporary / "corridor.json"
             file.write_text(json.dumps({"num_opponents": change.opponents}), encoding="utf-8")
             changed = dataclasses.replace(changed, env_args=[*config.env_args, "--config", str(file)])
         connection = ConnectionOptions(base_port=free_port(), timeout_wait=timeout_wait)
-        logs = PlayerLogs(Path(temporary), stay=False)
+        logs = PlayerLogs(temporary, stay=False)
         with open_slots(changed, logs, connection, seed=evaluation_seed(config.seed)) as players:
             shown = NearestOpponent(players)
             stages = build_stages(changed, shown)

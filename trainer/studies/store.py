@@ -1,7 +1,6 @@
 """The one place that a study's runs and reports go to: a folder, or an fsspec URL such as ``s3://bucket/results``."""
 
 import shutil
-import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -16,6 +15,7 @@ from trainer.drafts import only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.runs.folder import RunFolder
+from trainer.signals import temporary_folder
 from trainer.studies.results import RunResult
 
 READ = ("configuration.yaml", "summary.json", "progress.csv")
@@ -124,8 +124,8 @@ class Store:
         Raises:
             TrainerError: A file is missing or broken.
         """
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = RunFolder(Path(temporary))
+        with temporary_folder() as temporary:
+            folder = RunFolder(temporary)
             try:
                 for name in READ:
                     self.fs.get_file(f"{path}/{name}", str(folder.path / name))
@@ -147,8 +147,8 @@ class Store:
 
     def _read_config(self, path: str) -> RunConfig | None:
         try:
-            with tempfile.TemporaryDirectory() as temporary:
-                folder = RunFolder(Path(temporary))
+            with temporary_folder() as temporary:
+                folder = RunFolder(temporary)
                 self.fs.get_file(f"{path}/configuration.yaml", str(folder.configuration))
                 return folder.read_config()
         except (OSError, TrainerError):
