@@ -19,7 +19,7 @@ from trainer.players.vec_env import UnityVecEnv
 
 AREAS, STEPS, SEED = 6, 400, 11
 ENDS = {None: "", True: "truncated", False: "terminated"}
-SHORT = {"max_episode_steps": 60.0}  # episodes that end in many ways
+SHORT = {"max_episode_steps": 150.0}  # episodes that end in many ways
 
 
 def connect(port, folder):
