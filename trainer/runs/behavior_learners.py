@@ -125,10 +125,9 @@ class BehaviorLearners:
         return known
 
     def _new(self, name: str, behavior: Behavior) -> PPOLearner:
-        settings, seed = self._config.settings_for(name), self._config.seed
-        learner = PPOLearner(behavior, settings, build_signals(behavior, settings, seed), seed)
-        if settings.init_path is not None:
-            path = Path(settings.init_path)
+        learner = _blank(self._config, name, behavior)
+        if learner.settings.init_path is not None:
+            path = Path(learner.settings.init_path)
             _load(
                 read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path),
                 name,
@@ -136,6 +135,24 @@ class BehaviorLearners:
                 True,
             )
         return learner
+
+
+def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PPOLearner]:
+    """The learners that a checkpoint has, by their behaviors, with what it takes to act; they need no players.
+
+    Raises:
+        TrainerError: They are for other settings.
+    """
+    learners = {}
+    for name, described in checkpoint.part("behaviors").items():
+        learners[name] = _blank(config, name, behavior_from(described))
+        _load(checkpoint, name, learners[name], to_play=True)
+    return learners
+
+
+def _blank(config: RunConfig, name: str, behavior: Behavior) -> PPOLearner:
+    settings = config.settings_for(name)
+    return PPOLearner(behavior, settings, build_signals(behavior, settings, config.seed), config.seed)
 
 
 def _load(checkpoint: Checkpoint, name: str, learner: PPOLearner, to_play: bool) -> None:
