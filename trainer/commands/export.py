@@ -13,7 +13,7 @@ class Export:
 
     results: ExistingRun
     onnx: Path
-    """The file to write; of several behaviors, each has its own beside it, FILE's name and then the behavior's."""
+    """The file to write; of several behaviors, each has its own: Game.onnx is then Game-Fox.onnx, Game-Hare.onnx."""
 
     def run(self, typed: str) -> int:
         """Writes the files."""
