@@ -1,15 +1,15 @@
-"""``corridor export``: the policy as ML-Agents names it, equal to Stable-Baselines3's."""
+"""``corridor export`` of runs in lockstep: the policy as ML-Agents names it, equal to Stable-Baselines3's."""
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 import torch
 import yaml
 from conftest import corridor_here, unused_port
+from exported import form, session
 from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
@@ -23,15 +23,6 @@ from trainer.runs.onnx_file import _Nobody, policy_as_onnx
 from trainer.runs.training import load_trained
 
 BATCH = 4096
-
-
-def session(program: bytes | Path) -> onnxruntime.InferenceSession:
-    source = program if isinstance(program, bytes) else str(program)
-    return onnxruntime.InferenceSession(source, providers=["CPUExecutionProvider"])
-
-
-def form(nodes: list[onnxruntime.NodeArg]) -> list[tuple[str, list[object], str]]:
-    return [(node.name, node.shape, node.type) for node in nodes]
 
 
 def stages_on(behavior, *, c: float = 0.0, mean: float = 0.0, variance: float = 1.0) -> Stages:
@@ -193,12 +184,12 @@ def test_a_run_that_does_not_say_what_its_policy_observes(run, tmp_path):
     fails(silent, tmp_path / "a.onnx", "does not say what the policy observes and does")
 
 
-def test_pictures_are_refused(run, tmp_path):
+def test_a_folder_that_says_its_preset_observed_pictures(run, tmp_path):
     seeing, _ = copied(run, tmp_path / "seeing")
     record = yaml.safe_load((seeing / "configuration.yaml").read_text())
     record["behavior"]["observations"].append({"name": "CameraSensor", "shape": [84, 84, 3]})
     (seeing / "configuration.yaml").write_text(yaml.safe_dump(record))
-    fails(seeing, tmp_path / "a.onnx", "observes pictures (shape (84, 84, 3))")
+    fails(seeing, tmp_path / "a.onnx", "observes shape (84, 84, 3), but policies with a preset observe vectors alone")
 
 
 def test_a_file_that_cant_be_written(run, tmp_path):

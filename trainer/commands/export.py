@@ -9,19 +9,19 @@ from trainer.terminal import Terminal
 
 @dataclass(frozen=True)
 class Export:
-    """Write a trained run's policy as an ONNX file that Unity reads."""
+    """Write a trained run's policies as ONNX files that Unity reads."""
 
     results: ExistingRun
     onnx: Path
-    """The file to write."""
+    """The file to write; of several behaviors, each has its own: Game.onnx is then Game-Fox.onnx, Game-Hare.onnx."""
 
     def run(self, typed: str) -> int:
-        """Writes the file."""
+        """Writes the files."""
         check_file(self.onnx, "--onnx")
         folder = self.results.find()
         config = folder.read_config()
         from trainer.runs.onnx_file import export_run
 
-        export_run(config, folder, self.onnx)
-        Terminal().print(f"Wrote {self.onnx}")
+        for path in export_run(config, folder, self.onnx):
+            Terminal().print(f"Wrote {path}")
         return 0

@@ -125,14 +125,16 @@ class EntityEncoder(nn.Module):
 
     def forward(self, entities: Tensor, beside: Tensor | None) -> Tensor:
         """Features, (n, EMBEDDING), of entities, (n, rows, size), each seen with (n, beside)."""
-        real = entities.ne(0.0).any(dim=2)
+        real = entities.abs().amax(dim=2).gt(0.0)  # ONNX compares floats for equality from opset 11 on
         embedded: Tensor = self.embed_entity(entities)
         if self.embed_self is not None:
             embedded = embedded + self.embed_self(beside).unsqueeze(1)
         embedded = self.before(nn.functional.silu(embedded))
         rows = entities.shape[1]
-        split = self.query_key_value(embedded).view(-1, rows, 3, HEADS, EMBEDDING // HEADS).permute(2, 0, 3, 1, 4)
-        query, key, value = split.unbind(0)
+        query, key, value = (
+            part.reshape(-1, rows, HEADS, EMBEDDING // HEADS).transpose(1, 2)
+            for part in self.query_key_value(embedded).chunk(3, dim=2)
+        )
         scores = query @ key.transpose(2, 3) / math.sqrt(EMBEDDING // HEADS)
         scores = scores.masked_fill(~real[:, None, None, :], PADDING)
         attended = (scores.softmax(dim=3) @ value).transpose(1, 2).reshape(-1, rows, EMBEDDING)

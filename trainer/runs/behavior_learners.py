@@ -1,6 +1,7 @@
 """The learners of a run, one for each behavior that its players have, by names without teams."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -131,11 +132,9 @@ class BehaviorLearners:
         return known
 
     def _new(self, name: str, behavior: Behavior) -> PPOLearner:
-        settings, seed = self._config.settings_for(name), self._config.seed
-        device = device_for(self._config.device, behavior, settings.network_settings)
-        learner = PPOLearner(behavior, settings, build_signals(behavior, settings, seed, device), seed, device)
-        if settings.init_path is not None:
-            path = Path(settings.init_path)
+        learner = _blank(self._config, name, behavior)
+        if learner.settings.init_path is not None:
+            path = Path(learner.settings.init_path)
             _load(
                 read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path),
                 name,
@@ -143,6 +142,25 @@ class BehaviorLearners:
                 True,
             )
         return learner
+
+
+def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PPOLearner]:
+    """The learners that a checkpoint has, by their behaviors, with what it takes to act, on the CPU; they need no players.
+
+    Raises:
+        TrainerError: They are for other settings.
+    """
+    learners, config = {}, replace(config, device="cpu")
+    for name, described in checkpoint.part("behaviors").items():
+        learners[name] = _blank(config, name, behavior_from(described))
+        _load(checkpoint, name, learners[name], to_play=True)
+    return learners
+
+
+def _blank(config: RunConfig, name: str, behavior: Behavior) -> PPOLearner:
+    settings, seed = config.settings_for(name), config.seed
+    device = device_for(config.device, behavior, settings.network_settings)
+    return PPOLearner(behavior, settings, build_signals(behavior, settings, seed, device), seed, device)
 
 
 def _load(checkpoint: Checkpoint, name: str, learner: PPOLearner, to_play: bool) -> None:
