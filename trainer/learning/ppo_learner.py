@@ -20,11 +20,10 @@ from trainer.errors import TrainerError
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.experience import Asking, Experience
 from trainer.learning.observation_scaling import ObservationScaling
-from trainer.learning.ppo_update import PPOUpdate, minibatches, tensor, tensors
+from trainer.learning.ppo_update import CPU, PPOUpdate, minibatches, tensor, tensors
 from trainer.learning.rewards import Signal
 from trainer.learning.transitions import Decided, Observed, Singles, Transitions, advantages, joined
 
-CPU = torch.device("cpu")
 WINDOW = 100  # episodes that running means are over
 LOSS_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",

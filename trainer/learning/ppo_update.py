@@ -15,6 +15,7 @@ from trainer.learning.transitions import Indices, Singles, Transitions
 
 LEAST_BETA, LEAST_EPSILON, LEAST_RATE = 1e-5, 0.1, 1e-10  # where ML-Agents' linear schedules end
 VALUE_WEIGHT = 0.5
+CPU = torch.device("cpu")
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -156,11 +157,11 @@ def minibatches(count: int, size: int, generator: np.random.Generator) -> Iterat
     yield from np.array_split(generator.permutation(count), max(1, round(count / size)))
 
 
-def tensors(arrays: Sequence[NDArray[Any]], device: torch.device) -> tuple[Tensor, ...]:
+def tensors(arrays: Sequence[NDArray[Any]], device: torch.device = CPU) -> tuple[Tensor, ...]:
     """Arrays as torch has them there; on the CPU views."""
     return tuple(torch.from_numpy(each).to(device) for each in arrays)
 
 
-def tensor(array: NDArray[Any] | None, device: torch.device) -> Tensor | None:
+def tensor(array: NDArray[Any] | None, device: torch.device = CPU) -> Tensor | None:
     """The same of one that may not be there."""
     return None if array is None else torch.from_numpy(array).to(device)

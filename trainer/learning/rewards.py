@@ -8,6 +8,7 @@ from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior
 from trainer.behavior_settings import BehaviorSettings
+from trainer.learning.ppo_update import CPU
 from trainer.learning.reward_signals import CuriosityModule, RNDModule
 from trainer.learning.transitions import Singles
 
@@ -59,7 +60,7 @@ class Signal(NamedTuple):
 
 
 def build_signals(
-    behavior: Behavior, settings: BehaviorSettings, seed: int, device: torch.device
+    behavior: Behavior, settings: BehaviorSettings, seed: int, device: torch.device = CPU
 ) -> tuple[Signal, ...]:
     """The rewards that a behavior's settings ask for, the environment's first.
 

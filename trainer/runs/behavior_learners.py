@@ -145,7 +145,7 @@ class BehaviorLearners:
 
 
 def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PPOLearner]:
-    """The learners that a checkpoint has, by their behaviors, with what it takes to act, on the CPU; they need no players.
+    """The learners that a checkpoint has, by their behaviors, on the CPU, with what it takes to act; no players are needed.
 
     Raises:
         TrainerError: They are for other settings.
