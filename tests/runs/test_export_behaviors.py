@@ -222,7 +222,7 @@ def saved_run(path: Path, *behaviors: Behavior) -> Path:
     plain = {name: plain_behavior(learner.behavior) for name, learner in learners.items()}
     path.mkdir()
     folder = RunFolder(path)
-    folder.record_scene(config, {each["name"]: each for each in plain.values()})
+    folder.record_scene(config, {each["name"]: each for each in plain.values()}, 1)
     parts = {"behaviors": Plain(plain), **{f"{LEARNER}{name}": learner for name, learner in learners.items()}}
     facts = {"config": config.as_dict(), "counters": asdict(Counters()), "env_steps": 0}
     CheckpointWriter(folder.checkpoints).write(0, to_bytes(capture(parts, facts)))

@@ -108,7 +108,9 @@ class BehaviorLearners:
             TrainerError: It is for other behaviors.
         """
         for name, described in checkpoint.part("behaviors").items():
-            learner = self._of(behavior_from(described))
+            behavior = behavior_from(described)
+            self._learners.setdefault(name, _blank(self._config, name, behavior))  # what it began with is in here
+            learner = self._of(behavior)
             _load(checkpoint, name, learner, to_play)
 
     def described(self) -> dict[str, Any]:
@@ -145,7 +147,7 @@ class BehaviorLearners:
 
 
 def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PPOLearner]:
-    """The learners that a checkpoint has, by their behaviors, on the CPU, with what it takes to act; no players are needed.
+    """The learners that a checkpoint has, by their behaviors, on the CPU, as far as it takes to act without players.
 
     Raises:
         TrainerError: They are for other settings.

@@ -107,7 +107,9 @@ class RunFolder:
 
     def behavior(self, name: str, only: bool) -> "RunFolder":
         """Where a behavior's own results go: the run's folder if it is the only one, else one of its name in it."""
-        return self if only else RunFolder(self.path / re.sub(r"[^\w.+-]", "_", name))
+        if only:
+            return self
+        return RunFolder(self.path / re.sub(r"[^\w.+-]", lambda found: f"%{ord(found.group()):02X}", name))
 
     def read_config(self) -> RunConfig:
         """The run's settings.
