@@ -241,7 +241,7 @@ def test_of_several_behaviors_each_has_its_file(tmp_path):
     done = corridor_here("export", run, "--onnx", tmp_path / "Mine.onnx")
     assert done.returncode == 0, done.stderr
     files = {each.name: each for each in tmp_path.glob("*.onnx*")}
-    assert files.keys() == {"Mine-Big_Fox.onnx", "Mine-Hare.onnx"}
+    assert files.keys() == {"Mine-Big%20Fox.onnx", "Mine-Hare.onnx"}
     assert all(f"Wrote {each}\n" in done.stdout for each in files.values())
     assert form(session(files["Mine-Hare.onnx"]).get_inputs())[0] == ("obs_0", ["batch", 3], FLOAT)
 
