@@ -91,7 +91,7 @@ class PPOUpdate:
             "Policy/Learning Rate": rate,
             "Policy/Epsilon": epsilon,
             "Policy/Beta": beta,
-        } | ({"train/std": float(self._policy.log_std.exp().mean())} if len(self._policy.log_std) else {})
+        } | ({"train/std": float(self._policy.log_std.detach().exp().mean())} if len(self._policy.log_std) else {})
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
         """Adam's moments of every parameter, ``<kind>_<number>``; empty before the first update."""
