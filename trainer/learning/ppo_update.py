@@ -11,11 +11,11 @@ from torch import Tensor
 
 from trainer.behavior_settings import PPOHyperparameters, Schedule
 from trainer.learning.actor_critic import ActorCritic
+from trainer.learning.adam_state import adam_state, load_adam_state
 from trainer.learning.transitions import Indices, Singles, Transitions
 
 LEAST_BETA, LEAST_EPSILON, LEAST_RATE = 1e-5, 0.1, 1e-10  # where ML-Agents' linear schedules end
 VALUE_WEIGHT = 0.5
-MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 class PPOUpdate:
@@ -95,12 +95,8 @@ class PPOUpdate:
         } | ({"train/std": float(self._policy.log_std.detach().exp().mean())} if len(self._policy.log_std) else {})
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Adam's moments of every parameter, ``<kind>_<number>``; empty before the first update."""
-        state = {}
-        for number, parameter in enumerate(self._policy.parameters()):
-            for kind, value in self._optimizer.state[parameter].items():
-                state[f"{kind}_{number}"] = value.cpu().numpy()
-        return state
+        """Of Adam; see ``adam_state``."""
+        return adam_state(self._optimizer)
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes over what ``state_dict`` gave.
@@ -108,11 +104,7 @@ class PPOUpdate:
         Raises:
             KeyError: Something is missing.
         """
-        if state:
-            for number, parameter in enumerate(self._policy.parameters()):
-                self._optimizer.state[parameter] = {
-                    kind: torch.from_numpy(state[f"{kind}_{number}"].copy()).to(parameter.device) for kind in MOMENTS
-                }
+        load_adam_state(self._optimizer, state)
 
     def _descend(
         self,
