@@ -1,6 +1,6 @@
 """Observations as a policy takes them: vectors normalised where that is asked for (eq. 7), everything else as it is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,12 @@ class ObservationScaling:
 
     def of(self, agents: Agents) -> Observed:
         """What agents observe, as a policy takes it."""
-        observations = tuple(self._scaled(index, values) for index, values in enumerate(agents.observations))
         allowed = ~np.concatenate(agents.masks, axis=1) if agents.masks else None
-        return Observed(observations, allowed)
+        return Observed(self.scaled(agents.observations), allowed)
+
+    def scaled(self, observations: Sequence[NDArray[Any]]) -> tuple[Singles, ...]:
+        """Observations, (n, *shape) of each sensor, as a policy takes them."""
+        return tuple(self._scaled(index, values) for index, values in enumerate(observations))
 
     def state_dict(self) -> dict[str, NDArray[np.float64]]:
         """For each vector that is normalised, its running ``mean_<index>``, ``var_<index>`` and ``count_<index>``."""

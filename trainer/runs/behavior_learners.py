@@ -13,6 +13,7 @@ from trainer.learning.device import device_for
 from trainer.learning.learner import Learner
 from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
+from trainer.learning.sac_learner import SACLearner
 from trainer.players.scene import Message, Scene
 from trainer.runs.checkpoint import Checkpoint, read_checkpoint, read_checkpoint_file
 
@@ -135,7 +136,11 @@ class BehaviorLearners:
         settings, seed = self._config.settings_for(name), self._config.seed
         device = device_for(self._config.device, behavior, settings.network_settings)
         signals = build_signals(behavior, settings, seed, device)
-        learner: Learner = PPOLearner(behavior, settings, signals, seed, device)
+        learner: Learner = (
+            SACLearner(behavior, settings, signals, device)
+            if settings.trainer_type == "sac"
+            else PPOLearner(behavior, settings, signals, seed, device)
+        )
         if settings.init_path is not None:
             path = Path(settings.init_path)
             _load(
