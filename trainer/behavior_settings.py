@@ -211,7 +211,8 @@ class SACHyperparameters(Settings):
         buffer_init_steps: Steps before the first update.
         tau: How far the target network moves in an update.
         steps_per_update: Agent steps to each update.
-        save_replay_buffer: Keep the buffer for a resumed run.
+        save_replay_buffer: Keep the buffer in checkpoints; without it, a resumed run begins with an empty one, and
+            learns on once that has a minibatch.
         init_entcoef: The entropy coefficient at the beginning.
         reward_signal_steps_per_update: Agent steps to each update of reward signals; in a file, ``steps_per_update``
             if it is not given.
@@ -226,7 +227,7 @@ class SACHyperparameters(Settings):
     tau: Share = 0.005
     steps_per_update: Above = 1.0
     save_replay_buffer: bool = False
-    init_entcoef: Positive = 1.0
+    init_entcoef: Above = 1.0
     reward_signal_steps_per_update: Above = 1.0
 
     def __post_init__(self) -> None:

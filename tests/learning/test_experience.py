@@ -24,7 +24,7 @@ def agents(ids, seen, rewards, *, ended=False, interrupted=False, group=0.0):
         np.array(ids, np.int32),
         np.array(rewards, np.float32),
         np.full(count, ended),
-        np.full(count, interrupted),
+        np.broadcast_to(interrupted, count),
         (np.array(seen, np.float32).reshape(count, 1),),
         np.zeros(count, np.int32),
         np.full(count, group, np.float32),
@@ -192,3 +192,16 @@ def test_a_time_horizon_cuts_a_trajectory_and_not_what_follows_it():
     transitions = told(8, 3, values, np.zeros((8, 1), np.float32), np.zeros((8, 1), bool))
     assert transitions.previous.tolist() == [-1, 0, 1, -1, 3, 4, -1, 6]
     assert transitions.next_values[:, 0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
+def test_what_was_terminated_is_told_from_what_a_time_limit_or_an_update_cut():
+    experience = Experience(BEHAVIOR, 1, 8)
+    first = agents([0, 1, 2], [1, 2, 3], [0, 0, 0])
+    experience.act(experience.ask(0, NAME, first, Observed(first.observations)), decided([1, 2, 3]))
+    ended = agents([0, 1], [4, 5], [0, 0], ended=True, interrupted=[False, True])
+    experience.end(0, NAME, ended, ended.observations)
+    running = agents([2], [6], [0])
+    experience.ask(0, NAME, running, Observed(running.observations))
+    transitions, _ = experience.take()
+    assert transitions.decided.continuous[:, 0].tolist() == [1, 2, 3]
+    assert transitions.terminated.tolist() == [True, False, False]

@@ -49,6 +49,7 @@ class Experience:
             "next_seen": Rows((), np.intp),  # -1 while the transition is open
             "previous": Rows((), np.intp),
             "episodes": Rows((), np.intp),
+            "terminated": Rows((), np.bool_),
         }
         self.closed = 0
         self.ended: list[EndedEpisode] = []
@@ -92,6 +93,8 @@ class Experience:
         if which.any():
             chosen = known[which]
             transitions[which] = self._close(chosen, _rewards(agents)[which], _some(observations, which))
+            closed = transitions >= 0
+            self._columns["terminated"].values[transitions[closed]] = ~agents.interrupted[closed]
             for slot in chosen.tolist():
                 number, total, length = (self._slots[name][slot] for name in ("episode", "totals", "lengths"))
                 self.ended.append(EndedEpisode(int(number), float(total), int(length)))
@@ -159,6 +162,7 @@ class Experience:
         columns["next_seen"].append(np.full(count, _NONE, np.intp))
         columns["previous"].append(self._slots["last"][asking.slots])
         columns["episodes"].append(self._slots["episode"][asking.slots])
+        columns["terminated"].append(np.zeros(count, np.bool_))
         self._slots["open"][asking.slots] = begun
         self._slots["awaiting"][asking.slots] = _NONE
 
@@ -189,6 +193,7 @@ class Experience:
             columns["next_values"][closed],
             previous,
             columns["episodes"][closed],
+            columns["terminated"][closed],
         )
         return taken, self._keep_open(asking)
 

@@ -42,7 +42,7 @@ class ObservationScaling:
         return Observed(self.scaled(agents.observations), allowed)
 
     def scaled(self, observations: Sequence[NDArray[Any]]) -> tuple[Singles, ...]:
-        """Observations of agents in the sensors' order, each (n, *shape), as a policy takes them."""
+        """Observations, (n, *shape) of each sensor, as a policy takes them."""
         return tuple(self._scaled(index, values) for index, values in enumerate(observations))
 
     def state_dict(self) -> dict[str, NDArray[np.float64]]:

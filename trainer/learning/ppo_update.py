@@ -1,6 +1,6 @@
 """PPO's update (eq. 5) on transitions of trajectories of any length, for a policy with any number of value heads."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,12 @@ from torch import Tensor
 
 from trainer.behavior_settings import PPOHyperparameters, Schedule
 from trainer.learning.actor_critic import ActorCritic
+from trainer.learning.adam_state import adam_state, load_adam_state
+from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Indices, Singles, Transitions
 
 LEAST_BETA, LEAST_EPSILON, LEAST_RATE = 1e-5, 0.1, 1e-10  # where ML-Agents' linear schedules end
 VALUE_WEIGHT = 0.5
-CPU = torch.device("cpu")
-MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 class PPOUpdate:
@@ -96,12 +96,8 @@ class PPOUpdate:
         } | ({"train/std": float(self._policy.log_std.detach().exp().mean())} if len(self._policy.log_std) else {})
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Adam's moments of every parameter, ``<kind>_<number>``; empty before the first update."""
-        state = {}
-        for number, parameter in enumerate(self._policy.parameters()):
-            for kind, value in self._optimizer.state[parameter].items():
-                state[f"{kind}_{number}"] = value.cpu().numpy()
-        return state
+        """Of Adam; see ``adam_state``."""
+        return adam_state(self._optimizer)
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes over what ``state_dict`` gave.
@@ -109,11 +105,7 @@ class PPOUpdate:
         Raises:
             KeyError: Something is missing.
         """
-        if state:
-            for number, parameter in enumerate(self._policy.parameters()):
-                self._optimizer.state[parameter] = {
-                    kind: torch.from_numpy(state[f"{kind}_{number}"].copy()).to(parameter.device) for kind in MOMENTS
-                }
+        load_adam_state(self._optimizer, state)
 
     def _descend(
         self,
@@ -155,13 +147,3 @@ def scheduled(at_first: float, at_last: float, schedule: Schedule, progress: flo
 def minibatches(count: int, size: int, generator: np.random.Generator) -> Iterator[Indices]:
     """Random minibatches of about a size, equal to one: none is so small that it says nothing."""
     yield from np.array_split(generator.permutation(count), max(1, round(count / size)))
-
-
-def tensors(arrays: Sequence[NDArray[Any]], device: torch.device = CPU) -> tuple[Tensor, ...]:
-    """Arrays as torch has them there; on the CPU views."""
-    return tuple(torch.from_numpy(each).to(device) for each in arrays)
-
-
-def tensor(array: NDArray[Any] | None, device: torch.device = CPU) -> Tensor | None:
-    """The same of one that may not be there."""
-    return None if array is None else torch.from_numpy(array).to(device)

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior
 from trainer.behavior_settings import BehaviorSettings
-from trainer.learning.ppo_update import CPU
 from trainer.learning.reward_signals import CuriosityModule, RNDModule
+from trainer.learning.tensors import CPU
 from trainer.learning.transitions import Singles
 
 

@@ -71,6 +71,7 @@ class Transitions:
         next_values: Value of what followed, for each head, (n, heads) float32; 0 after a terminated episode.
         previous: The transition before in the same trajectory, (n,); -1 where one begins.
         episodes: A number for each agent's episode, (n,).
+        terminated: Whether the episode ended with it and nothing was to follow, (n,) bool: no time limit cut it.
     """
 
     observed: Observed
@@ -80,6 +81,7 @@ class Transitions:
     next_values: Singles
     previous: Indices
     episodes: Indices
+    terminated: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.rewards)

@@ -11,8 +11,10 @@ from corridor_server.protocol.agents import ActionBatch, Behavior, Sensor
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.learning.device import device_for
+from trainer.learning.learner import Learner
 from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
+from trainer.learning.sac_learner import SACLearner
 from trainer.players.scene import Message, Scene
 from trainer.runs.checkpoint import Checkpoint, read_checkpoint, read_checkpoint_file
 
@@ -29,7 +31,7 @@ class BehaviorLearners:
 
     def __init__(self, config: RunConfig, scene: Scene) -> None:
         self._config, self._scene = config, scene
-        self._learners: dict[str, PPOLearner] = {}
+        self._learners: dict[str, Learner] = {}
 
     def on(self, scene: Scene) -> "BehaviorLearners":
         """The same learners on other players."""
@@ -37,7 +39,7 @@ class BehaviorLearners:
         others._learners = self._learners
         return others
 
-    def __iter__(self) -> Iterator[tuple[str, PPOLearner]]:
+    def __iter__(self) -> Iterator[tuple[str, Learner]]:
         return iter(self._learners.items())
 
     def __len__(self) -> int:
@@ -93,7 +95,7 @@ class BehaviorLearners:
                 actions[player][behavior] = batch
         return actions
 
-    def state_dict(self) -> dict[str, PPOLearner]:
+    def state_dict(self) -> dict[str, Learner]:
         """Every learner as a part of a checkpoint, by the part's name."""
         return {f"{LEARNER}{name}": learner for name, learner in self._learners.items()}
 
@@ -117,7 +119,7 @@ class BehaviorLearners:
         """What each behavior observes and does, as plain values; the inverse of ``behavior_from``."""
         return {name: plain_behavior(learner.behavior) for name, learner in self._learners.items()}
 
-    def _of(self, behavior: Behavior) -> PPOLearner:
+    def _of(self, behavior: Behavior) -> Learner:
         name = behavior.name.partition("?")[0]
         known = self._learners.get(name)
         if known is None:
@@ -133,7 +135,7 @@ class BehaviorLearners:
             )
         return known
 
-    def _new(self, name: str, behavior: Behavior) -> PPOLearner:
+    def _new(self, name: str, behavior: Behavior) -> Learner:
         learner = _blank(self._config, name, behavior)
         if learner.settings.init_path is not None:
             path = Path(learner.settings.init_path)
@@ -146,7 +148,7 @@ class BehaviorLearners:
         return learner
 
 
-def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PPOLearner]:
+def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, Learner]:
     """The learners that a checkpoint has, by their behaviors, on the CPU, as far as it takes to act without players.
 
     Raises:
@@ -159,13 +161,16 @@ def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, PP
     return learners
 
 
-def _blank(config: RunConfig, name: str, behavior: Behavior) -> PPOLearner:
+def _blank(config: RunConfig, name: str, behavior: Behavior) -> Learner:
     settings, seed = config.settings_for(name), config.seed
     device = device_for(config.device, behavior, settings.network_settings)
-    return PPOLearner(behavior, settings, build_signals(behavior, settings, seed, device), seed, device)
+    signals = build_signals(behavior, settings, seed, device)
+    if settings.trainer_type == "sac":
+        return SACLearner(behavior, settings, signals, device)
+    return PPOLearner(behavior, settings, signals, seed, device)
 
 
-def _load(checkpoint: Checkpoint, name: str, learner: PPOLearner, to_play: bool) -> None:
+def _load(checkpoint: Checkpoint, name: str, learner: Learner, to_play: bool) -> None:
     state = checkpoint.part(f"{LEARNER}{name}")
     if not state:
         raise TrainerError(f"The checkpoint has no behavior {name!r}; give one of a run that trained it.")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from stable_baselines3.common.logger import Logger
 
-from trainer.learning.ppo_learner import WINDOW, PPOLearner
+from trainer.learning.learner import WINDOW, Learner
 from trainer.runs.logs import ProgressFile, TensorBoardLog
 from trainer.runs.progress import Snapshot
 
@@ -20,18 +20,18 @@ class BehaviorLog:
         every: Steps between two rows.
 
     Attributes:
-        updates: Of the learner, when it was last looked at.
+        learned: By the learner, when it was last looked at.
     """
 
     def __init__(self, folder: Path, steps: int, every: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.updates = 0
+        self.learned = 0
         self._every, self._written = every, steps - steps % every
         self._last_steps, self._last_seconds = steps, 0.0
         outputs = [ProgressFile(folder / "progress.csv", steps), TensorBoardLog(folder / "tensorboard", steps)]
         self._logger = Logger(str(folder), list(outputs))
 
-    def snapshot(self, learner: PPOLearner) -> Snapshot:
+    def snapshot(self, learner: Learner) -> Snapshot:
         """What a person sees of it."""
         returns, lengths, _ = _means(learner)
         intrinsic = learner.metrics.get("rollout/intrinsic_reward")
@@ -45,11 +45,11 @@ class BehaviorLog:
             is_curious=learner.is_curious,
         )
 
-    def is_due(self, learner: PPOLearner) -> bool:
+    def is_due(self, learner: Learner) -> bool:
         """Whether it is time for a row."""
         return learner.steps - self._written >= self._every or learner.is_done
 
-    def write(self, learner: PPOLearner, seconds: float, statistics: Mapping[str, float]) -> None:
+    def write(self, learner: Learner, seconds: float, statistics: Mapping[str, float]) -> None:
         """Writes a row.
 
         Args:
@@ -87,7 +87,7 @@ class BehaviorLog:
         self._logger.close()
 
 
-def _means(learner: PPOLearner) -> tuple[float | None, float | None, float | None]:
+def _means(learner: Learner) -> tuple[float | None, float | None, float | None]:
     """Of the last episodes: return, length, and intrinsic reward; None before there are any."""
     found = [
         float(np.mean(list(learner.recent[name])[-WINDOW:])) if learner.recent[name] else None

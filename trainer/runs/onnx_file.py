@@ -16,6 +16,7 @@ from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.learning.normaliser import ObservationNormaliser
+from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.stages import Stages, build_stages
 from trainer.learning.transitions import Singles
 from trainer.players.behavior import described, recorded_spec
@@ -48,6 +49,8 @@ def export_run(config: RunConfig, folder: RunFolder, path: Path) -> list[Path]:
     programs = {}
     for name, learner in learners.items():
         own = path.with_stem(f"{path.stem}-{folder.behavior(name, only=False).path.name}")
+        if not isinstance(learner, PPOLearner):
+            raise TrainerError(f"The policy of {name} is SAC's, which can't be exported; train with trainer_type: ppo.")
         programs[own if len(learners) > 1 else path] = learner_as_onnx(learner)
     if not learners:
         programs[path] = _lockstep_as_onnx(config, folder)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.observation_scaling import EPSILON
 from trainer.learning.ppo_learner import PPOLearner
-from trainer.learning.ppo_update import tensor, tensors
+from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Singles
 from trainer.runs.onnx_check import Allowed, Choices, check_graph
 from trainer.runs.onnx_graph import Scaling, graph_of

@@ -212,9 +212,9 @@ class SceneTraining:
                 path = self._folder.behavior(name, only).path
                 self._logs[name] = log = BehaviorLog(path, learner.steps, learner.settings.summary_freq)
                 display.add(line, learner.settings.max_steps, learner.steps)
-            if learner.updates == log.updates:
+            if learner.learned == log.learned:
                 continue
-            log.updates = learner.updates
+            log.learned = learner.learned
             display.update(line, log.snapshot(learner))
             if log.is_due(learner):
                 if statistics is None:
