@@ -18,7 +18,7 @@ from trainer.learning.adam_state import adam_state, load_adam_state
 from trainer.learning.learner import LOSS_TAGS, Learner, part_of
 from trainer.learning.observation_encoder import ObservationEncoder, observation_space
 from trainer.learning.ppo_update import LEAST_RATE, scheduled
-from trainer.learning.replay import Replay
+from trainer.learning.replay_memory import ReplayMemory
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensors
 from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Singles
@@ -60,7 +60,7 @@ class SACLearner(Learner):
             tau=own.tau,
             gamma=signals[0].gamma,
             ent_coef=f"auto_{own.init_entcoef}",
-            replay_buffer_class=Replay,
+            replay_buffer_class=ReplayMemory,
             replay_buffer_kwargs={"scaling": self.observations, "signals": signals},
             policy_kwargs={
                 "optimizer_kwargs": {"fused": True},
@@ -77,7 +77,7 @@ class SACLearner(Learner):
         )
         self._sac.set_logger(Logger(None, []))
         self.policy = self._sac.policy
-        assert isinstance(self._sac.replay_buffer, Replay)
+        assert isinstance(self._sac.replay_buffer, ReplayMemory)
         self.replay = self._sac.replay_buffer
         self._signal_updates = 0
 
