@@ -66,7 +66,7 @@ class SceneTraining:
         self._listed = {name.partition("?")[0] for name in scene.behaviors}
         self._goes_on = checkpoint is not None and self._restore(checkpoint)
         self._saved_steps = self._kept_steps = counters.env_steps
-        self._saving_seconds, self._next_save = 0.0, 0.0
+        self._next_save = 0.0
 
     @property
     def parameters(self) -> dict[str, Any]:
