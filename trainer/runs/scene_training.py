@@ -193,9 +193,14 @@ class SceneTraining:
         self._next_save = ended + (ended - began) / SAVING_SHARE
 
     def _finish(self) -> None:
-        """Saves what was not saved yet, unless an exact checkpoint is there, and closes everything."""
+        """Saves what was not saved yet, and closes everything.
+
+        A run that is cut keeps a checkpoint of its last update, from which its episodes can go on: after it, nobody
+        knows where they are.
+        """
+        exact = self._saved_steps > 0 and self._scene.says_its_state and not self.learners.are_done
         try:
-            if self._counters.env_steps > self._saved_steps and not (self._saved_steps and self._scene.says_its_state):
+            if self._counters.env_steps > self._saved_steps and not exact:
                 self._save()
             self._writer.keep(max([1, *(learner.settings.keep_checkpoints for _, learner in self.learners)]))
         finally:
