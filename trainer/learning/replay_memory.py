@@ -17,7 +17,7 @@ from trainer.learning.rewards import Signal
 from trainer.learning.transitions import Singles, Transitions
 
 
-class Replay(DictReplayBuffer):
+class ReplayMemory(DictReplayBuffer):
     """Stable-Baselines3's, whose samples have all rewards added up, and observations scaled, when they are drawn.
 
     What an intrinsic reward pays and what an observation's mean is changes while a transition lies here.
