@@ -226,6 +226,15 @@ def test_rewards_with_different_discount_factors_are_refused():
         sac(reward_signals={"extrinsic": {}, "rnd": {"gamma": 0.5}})
 
 
+@pytest.mark.filterwarnings("ignore:This system does not have")
+def test_a_replay_buffer_that_no_machine_has_room_for_is_refused():
+    huge = Behavior(NAME, (Sensor.of("camera", (512, 512, 1)),), continuous_actions=1)
+    with pytest.raises(
+        TrainerError, match=r"^The replay buffer of behavior Agent .*; lower its buffer_size of 10{9}\.$"
+    ):
+        sac(huge, {"buffer_size": 10**9})
+
+
 def test_a_policy_that_is_no_number_any_more_ends_the_run_in_a_sentence():
     learner = sac()
     go(learner, 3)
@@ -262,7 +271,7 @@ default_settings:
   trainer_type: sac
   hyperparameters: {batch_size: 32, steps_per_update: 4, save_replay_buffer: true}
   network_settings: {hidden_units: 16, normalize: true}
-  max_steps: 1200
+  max_steps: 800
   summary_freq: 200
 """,
     )
@@ -281,19 +290,25 @@ def test_a_served_pendulum_is_learned_and_a_killed_run_goes_on(tmp_path, free_po
     """Returns near -1,200 are those of a policy that has learned nothing, and -150 of one that balances."""
     file = settings_file(
         tmp_path,
-        """
+        f"""
+env_settings:
+  env_path: {BIN / "corridor-server"}
+  env_args: [--gym, Pendulum-v1]
+  num_areas: 4
 behaviors:
   Pendulum-v1:
     trainer_type: sac
-    hyperparameters: {learning_rate: 2.0e-3, buffer_init_steps: 400, save_replay_buffer: true}
-    network_settings: {hidden_units: 64}
-    max_steps: 4000
+    hyperparameters:
+      learning_rate: 2.0e-3
+      buffer_init_steps: 400
+      save_replay_buffer: true
+    network_settings:
+      hidden_units: 64
+    max_steps: 3600
     summary_freq: 400
 """,
     )
-    pendulum = ("--env", BIN / "corridor-server", "--env-args", "--gym", "Pendulum-v1")
-    run = PreparedRun(tmp_path, "r", free_port, file, "--num-areas", 4, "--eval-episodes", 8)
-    run._command += map(str, pendulum)
+    run = PreparedRun(tmp_path, "r", free_port, file, "--eval-episodes", 8)
     process = run.start()
     run.wait_for_steps(process, 1200)
     process.kill()
@@ -301,6 +316,6 @@ behaviors:
     assert run.finish("--resume") == 0, run.output
     summary = run.summary()
     assert summary["resumes"] == 1
-    assert summary["env_steps"] >= 4000
+    assert summary["env_steps"] >= 3600
     assert float(run.rows()[1]["mean_return"]) < -900
     assert summary["evaluation"]["mean_return"] > -500

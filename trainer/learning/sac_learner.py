@@ -41,7 +41,8 @@ class SACLearner(Learner):
         updates: Gradient steps.
 
     Raises:
-        TrainerError: Its actions are not continuous, or its rewards are discounted differently.
+        TrainerError: Its actions are not continuous, its rewards are discounted differently, or its replay buffer does
+            not fit into memory.
     """
 
     def __init__(
@@ -51,30 +52,13 @@ class SACLearner(Learner):
         _check(behavior, signals)
         super().__init__(behavior, settings, signals, 0, device)
         self._own = own = settings.hyperparameters
-        network = settings.network_settings
-        self._sac = SAC(
-            "MultiInputPolicy",
-            _Spaces(behavior),
-            learning_rate=lambda _: self._rate,
-            buffer_size=own.buffer_size,
-            tau=own.tau,
-            gamma=signals[0].gamma,
-            ent_coef=f"auto_{own.init_entcoef}",
-            replay_buffer_class=ReplayMemory,
-            replay_buffer_kwargs={"scaling": self.observations, "signals": signals},
-            policy_kwargs={
-                "optimizer_kwargs": {"fused": True},
-                "net_arch": [network.hidden_units] * network.num_layers,
-                "features_extractor_class": ObservationEncoder,
-                "features_extractor_kwargs": {
-                    "sensors": behavior.sensors,
-                    "hidden_units": network.hidden_units,
-                    "vis_encode_type": network.vis_encode_type,
-                    "goal_conditioning_type": network.goal_conditioning_type,
-                },
-            },
-            device=device,
-        )
+        try:
+            self._sac = self._build()
+        except MemoryError as error:
+            raise TrainerError(
+                f"The replay buffer of behavior {_name(behavior)} does not fit into memory ({error}); lower its "
+                f"buffer_size of {own.buffer_size}."
+            ) from error
         self._sac.set_logger(Logger(None, []))
         self.policy = self._sac.policy
         assert isinstance(self._sac.replay_buffer, ReplayMemory)
@@ -134,6 +118,32 @@ class SACLearner(Learner):
     def _log_entropy_coefficient(self) -> torch.Tensor:
         assert self._sac.log_ent_coef is not None
         return self._sac.log_ent_coef
+
+    def _build(self) -> SAC:
+        network = self.settings.network_settings
+        return SAC(
+            "MultiInputPolicy",
+            _Spaces(self.behavior),
+            learning_rate=lambda _: self._rate,
+            buffer_size=self._own.buffer_size,
+            tau=self._own.tau,
+            gamma=self._signals[0].gamma,
+            ent_coef=f"auto_{self._own.init_entcoef}",
+            replay_buffer_class=ReplayMemory,
+            replay_buffer_kwargs={"scaling": self.observations, "signals": self._signals},
+            policy_kwargs={
+                "optimizer_kwargs": {"fused": True},
+                "net_arch": [network.hidden_units] * network.num_layers,
+                "features_extractor_class": ObservationEncoder,
+                "features_extractor_kwargs": {
+                    "sensors": self.behavior.sensors,
+                    "hidden_units": network.hidden_units,
+                    "vis_encode_type": network.vis_encode_type,
+                    "goal_conditioning_type": network.goal_conditioning_type,
+                },
+            },
+            device=self._device,
+        )
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
         entropy = self._sac.ent_coef_optimizer
@@ -226,7 +236,7 @@ def _check(behavior: Behavior, signals: Sequence[Signal]) -> None:
     Raises:
         TrainerError: Actions are not continuous, or rewards are discounted differently.
     """
-    name = behavior.name.partition("?")[0]
+    name = _name(behavior)
     if behavior.discrete_branches or not behavior.continuous_actions:
         has = f"discrete branches {list(behavior.discrete_branches)}" if behavior.discrete_branches else "no actions"
         raise TrainerError(
@@ -239,3 +249,7 @@ def _check(behavior: Behavior, signals: Sequence[Signal]) -> None:
             f"The reward signals of behavior {name} have different discount factors ({gammas}), but with sac one "
             "critic values their sum; give all of them the same gamma."
         )
+
+
+def _name(behavior: Behavior) -> str:
+    return behavior.name.partition("?")[0]

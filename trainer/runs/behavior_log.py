@@ -74,7 +74,7 @@ class BehaviorLog:
                 self._logger.record(tag, value)
         self._logger.record("time/total_timesteps", learner.steps)
         self._logger.record("rollout/episodes", learner.episodes)
-        self._logger.record("time/time_elapsed", int(seconds))
+        self._logger.record("time/time_elapsed", int(seconds), exclude="tensorboard")
         self._logger.record(
             "time/fps", int((learner.steps - self._last_steps) / max(seconds - self._last_seconds, 1e-9))
         )
