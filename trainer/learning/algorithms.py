@@ -10,19 +10,13 @@ from stable_baselines3 import A2C, DDPG, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv
-from torch.optim import Optimizer
 
 from trainer.config import A2CConfig, DDPGConfig, RunConfig, TRPOConfig
 from trainer.errors import TrainerError
+from trainer.learning import adam_steps  # noqa: F401 - its marks are for every optimiser
 from trainer.learning.lean_ppo import LeanPPO
 
 WINDOW = 100  # episodes that running means are over
-
-# An optimiser's methods tell torch's compiler to leave them alone, and would import it for that: two seconds of every
-# start, where nothing is compiled. Marked so, they are taken as they are.
-for _method in vars(Optimizer).values():
-    if _original := getattr(_method, "__wrapped__", None):
-        _original.__dynamo_disable = _original
 
 
 def steps_per_update(config: RunConfig) -> int:

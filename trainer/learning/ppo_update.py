@@ -12,6 +12,7 @@ from torch import Tensor
 from trainer.behavior_settings import PPOHyperparameters, Schedule
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.adam_state import adam_state, load_adam_state
+from trainer.learning.adam_steps import take_step
 from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Indices, Singles, Transitions
 
@@ -129,7 +130,7 @@ class PPOUpdate:
         loss = policy_loss + VALUE_WEIGHT * value_loss - beta * mean_entropy
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        self._optimizer.step()
+        take_step(self._optimizer)
         with torch.no_grad():
             clipped = ((ratio - 1).abs() > epsilon).float().mean()
             divergence = (ratio - 1 - log_ratio).mean()

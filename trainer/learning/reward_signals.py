@@ -15,6 +15,7 @@ from stable_baselines3.common.torch_layers import create_mlp
 from torch import Tensor, nn
 
 from corridor_server.protocol.agents import Behavior
+from trainer.learning.adam_steps import take_step
 from trainer.learning.observation_encoder import ConditioningType, ObservationEncoder, observation_space
 from trainer.learning.picture_encoder import EncoderType
 
@@ -252,10 +253,10 @@ def _seeded(seed: int) -> Iterator[None]:
         yield
 
 
-def _descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+def _descend(optimizer: torch.optim.Adam, loss: Tensor) -> None:
     optimizer.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
-    optimizer.step()
+    take_step(optimizer)
 
 
 def _state(networks: nn.Module, adam: torch.optim.Adam) -> dict[str, Any]:
