@@ -257,7 +257,7 @@ class RunConfig(Settings):
         penalty: Subtracted when an episode fails (the environment parameter ``failure_penalty``).
         steps: Agent steps to train for.
         num_areas: Training areas in each player.
-        through_gym: One area through ``UnityToGymWrapper``, as the paper, instead of the vector path.
+        through_gym: One area through ``UnityToGymWrapper``, as the paper, instead of all in lockstep.
         ppo: Hyperparameters.
         curiosity: Hyperparameters; c = 0 is base PPO without any curiosity module.
         other: Hyperparameters of an algorithm other than PPO.

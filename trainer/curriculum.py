@@ -141,11 +141,6 @@ class Curricula:
         """The number of each parameter's lesson, from 0."""
         return dict(self._numbers)
 
-    @property
-    def names(self) -> dict[str, str]:
-        """The name of each parameter's lesson; a parameter's own where it has no curriculum."""
-        return {name: lessons[self._numbers[name]].name for name, lessons in self._lessons.items()}
-
     def values(self) -> dict[str, Any]:
         """Each parameter's number or sampler in its lesson, as ``parse_parameter`` reads it."""
         return {name: lessons[self._numbers[name]].value for name, lessons in self._lessons.items()}

@@ -4,7 +4,7 @@ Whatever it says is taken, or refused with the file's name and the line. ``debug
 out: it changes nothing that is learned. A seed of -1 is none, as in ML-Agents.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -15,7 +15,7 @@ from trainer.config import Device, EngineConfig, Intrinsic, Restarts
 from trainer.corridor import PENALTY, check_parameter
 from trainer.curriculum import Curricula, read_lessons
 from trainer.errors import SettingError, TrainerError
-from trainer.listed_behaviors import check_behaviors, read_behaviors, settings_for
+from trainer.listed_behaviors import read_behaviors
 from trainer.options import Count, Port, Seconds, Seed, Settings, names_and_values, nearest
 from trainer.parameter_values import NUMBER, parse_parameter
 
@@ -220,33 +220,6 @@ class RunOptions:
                     raise
                 raise self._named(SettingError(str(error), "environment_parameters", name)) from error
         return parameters
-
-    def settings_for(self, behavior: str) -> BehaviorSettings:
-        """How a behavior, with or without its team, is trained.
-
-        Raises:
-            TrainerError: The file lists behaviors, but not this one, and has no default settings.
-        """
-        try:
-            return settings_for(behavior, self.behaviors, self.default_settings)
-        except SettingError as error:
-            raise self._named(error) from error
-
-    def check_behaviors(self, found: Iterable[str]) -> None:
-        """Refuses an environment whose behaviors are not those of the file.
-
-        Args:
-            found: Its behaviors, with or without their teams.
-
-        Raises:
-            TrainerError: One is not in the file, which has no default settings; or the file has one that is not there.
-        """
-        names = [each.partition("?")[0] for each in found]
-        try:
-            check_behaviors(names, self.behaviors, self.default_settings)
-        except SettingError as error:
-            raise self._named(error) from error
-        Curricula(self.environment_parameters).check_behaviors(names)
 
     def _named(self, error: SettingError) -> TrainerError:
         return error if self.place is None else self.place.named(error)

@@ -32,7 +32,6 @@ def test_the_first_lessons_values_come_first_in_the_order_of_the_file():
         ("big_wall_height", height),
         ("small_wall_height", 1.5),
     ]
-    assert curricula.names == {"gravity": "gravity", "big_wall_height": "Lesson0", "small_wall_height": "Lesson0"}
     assert curricula.numbers == {"gravity": 0, "big_wall_height": 0, "small_wall_height": 0}
 
 

@@ -254,36 +254,6 @@ def test_a_graphics_less_build_is_what_no_graphics_says(read):
     assert read("engine_settings: {width: 100}").graphics is None
 
 
-def test_behaviors_that_the_environment_lacks_or_that_the_file_lacks_are_named(read, tmp_path):
-    options = read(PYRAMIDS)
-    options.check_behaviors(["Pyramids?team=0"])
-    assert options.settings_for("Pyramids?team=1").max_steps == 10_000_000
-    at = f"^{tmp_path}/it.yaml, line "
-    with pytest.raises(TrainerError, match=f"{at}2: The environment has the behavior 'Pyramid', which is not among"):
-        options.settings_for("Pyramid")
-    with pytest.raises(TrainerError, match=f"{at}2: The environment has the behavior 'Stone', .*add default_settings"):
-        options.check_behaviors(["Pyramids", "Stone"])
-    read("default_settings: {max_steps: 5}\n" + PYRAMIDS).check_behaviors(["Pyramids", "Stone"])
-    both = read("default_settings: {max_steps: 5}\n" + PYRAMIDS)
-    with pytest.raises(
-        TrainerError, match=f"{at}4: behaviors has 'Pyramids', which the environment doesn't have .*Pyr"
-    ):
-        both.check_behaviors(["Pyramid"])
-
-
-def test_a_lesson_that_waits_for_a_behavior_that_is_not_there(read):
-    text = WALL_JUMP.replace("behavior: SmallWallJump", "behavior: SmalWallJump")
-    with pytest.raises(TrainerError, match="wait for the behavior 'SmalWallJump', .*the nearest name is SmallWallJump"):
-        read(text).check_behaviors(["BigWallJump", "SmallWallJump"])
-    read(WALL_JUMP).check_behaviors(["BigWallJump?team=0", "SmallWallJump?team=0"])
-
-
-def test_without_behaviors_in_the_file_any_has_mlagents_defaults(read):
-    options = read("engine_settings: {time_scale: 5}")
-    options.check_behaviors(["Any"])
-    assert options.settings_for("Any") == BehaviorSettings()
-
-
 SECTIONS = st.sampled_from(
     ["behaviors", "default_settings", "env_settings", "engine_settings", "environment_parameters", "torch_settings"]
 )

@@ -187,9 +187,34 @@ def test_a_runs_record_has_the_behaviors_in_the_form_of_the_file_and_is_read_bac
         "BigWallJump",
         "SmallWallJump",
     ]
-    run.check_behaviors(["BigWallJump?team=0", "SmallWallJump"])
-    with pytest.raises(TrainerError, match="has the behavior 'Other', which is not among the behaviors"):
-        run.check_behaviors(["Other"])
+
+
+def test_behaviors_that_the_environment_lacks_or_that_the_file_lacks_are_named(typed):
+    _, run = typed(PYRAMIDS, "FILE", "--run-id", "r")
+    run.check_behaviors(["Pyramids?team=0"])
+    assert run.settings_for("Pyramids?team=1").max_steps == 10_000_000
+    for names in (["Stone"], ["Pyramids", "Stone"]):
+        with pytest.raises(TrainerError, match="The environment has the behavior 'Stone', .*add default_settings"):
+            run.check_behaviors(names)
+    _, both = typed("default_settings: {max_steps: 5}\n" + PYRAMIDS, "FILE", "--run-id", "r")
+    both.check_behaviors(["Pyramids", "Stone"])
+    with pytest.raises(TrainerError, match="behaviors has 'Pyramids', which the environment doesn't have .*Pyr"):
+        both.check_behaviors(["Pyramid"])
+
+
+def test_a_lesson_that_waits_for_a_behavior_that_is_not_there(typed):
+    _, right = typed(WALL_JUMP, "FILE", "--run-id", "r")
+    right.check_behaviors(["BigWallJump?team=0", "SmallWallJump?team=0"])
+    _, wrong = typed(WALL_JUMP.replace("behavior: SmallWallJump", "behavior: SmalWallJump"), "FILE", "--run-id", "r")
+    with pytest.raises(TrainerError, match="wait for the behavior 'SmalWallJump', .*the nearest name is SmallWallJump"):
+        wrong.check_behaviors(["BigWallJump", "SmallWallJump"])
+
+
+@pytest.mark.parametrize("option", [{"algo": "trpo"}, {"from_sb3": Path("model.zip")}])
+def test_what_only_runs_in_lockstep_have_is_refused_beside_a_files_behaviors(tmp_path, option):
+    (tmp_path / "it.yaml").write_text(PYRAMIDS)
+    with pytest.raises(TrainerError, match="^--(algo trpo|from-sb3 model.zip) has no effect on behaviors that a file"):
+        Train("r", tmp_path / "it.yaml", **option).run_config()
 
 
 @pytest.mark.parametrize(

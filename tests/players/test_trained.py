@@ -68,7 +68,11 @@ def test_a_groups_reward_reaches_learning_once(wrap):
     [
         ([(4, 4, 3)], DISCRETE, r"takes vector observations, not shapes \[\(4, 4, 3\)\]"),
         ([(2,), (5, 3)], DISCRETE, r"takes vector observations, not shapes \[\(2,\), \(5, 3\)\]"),
-        ([(2,)], ActionSpec(1, (3,)), "1 continuous actions and 1 discrete branches; the vector path takes one kind"),
+        (
+            [(2,)],
+            ActionSpec(1, (3,)),
+            "1 continuous actions and 1 discrete branches, but Stable-Baselines3's policies take",
+        ),
     ],
 )
 def test_other_observations_and_both_kinds_of_actions_are_refused(shapes, actions, says):
@@ -84,4 +88,6 @@ def test_the_papers_preset_refuses_both_kinds_of_actions_too(tmp_path, free_port
     scene = ("--env", BUILD, "--env-args", "--spec", tmp_path / "hybrid.toml")
     given = ("--run-id", "r", "--preset", "paper", "--results-dir", tmp_path, "--base-port", free_port, *scene)
     assert main(["train", *map(str, given)]) == 1
-    assert "2 continuous actions and 1 discrete branches; the vector path takes one kind" in capsys.readouterr().err
+    assert (
+        "2 continuous actions and 1 discrete branches, but Stable-Baselines3's policies take" in capsys.readouterr().err
+    )

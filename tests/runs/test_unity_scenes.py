@@ -72,6 +72,20 @@ def test_any_other_behavior_is_told_only_what_was_given(train, tmp_path):
     assert told == [{"gravity": 2.0}] * 2, "at the first reset, in training and in evaluation"
 
 
+def test_random_network_distillation_without_a_strength_is_refused(tmp_path, free_port, capsys):
+    player, _ = write_player(tmp_path)
+    given = ("--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port, "--env", player, "--steps", 40)
+    assert main(["train", *map(str, given), "--intrinsic", "rnd"]) == 1
+    assert "--intrinsic rnd has no effect on " in capsys.readouterr().err
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_corridor_that_a_file_lists_has_its_penalty(tmp_path, free_port):
+    (tmp_path / "it.yaml").write_text("behaviors: {Corridor: {max_steps: 64, hyperparameters: {batch_size: 8}}}")
+    given = ("--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port, "--num-areas", 2)
+    assert main(["train", str(tmp_path / "it.yaml"), *map(str, given), "--penalty", "0", "--eval-episodes", "1"]) == 0
+
+
 def test_success_is_of_all_episodes_or_unknown(train, tmp_path):
     """Two of three episodes are cut by a step limit and report nothing: 100% of the rest is no rate."""
     player, _ = write_player(tmp_path, success=(1.0, None, None))

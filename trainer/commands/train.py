@@ -174,6 +174,8 @@ class Train(Options):
         said, ours = self.said or self._read() or RunOptions(), self.env == "builtin"
         engine: dict[str, Any] = dict(self.engine)
         behaviors, default, unlisted = said.recorded(self.training.steps, self.c, self.intrinsic)
+        if behaviors or default is not None:
+            self._check_lockstep()
         config = preset_run(
             self.run_id,
             self.training.preset or PRESET,
@@ -200,6 +202,19 @@ class Train(Options):
         if ours:
             check_ranges(config.environment_parameters)
         return config
+
+    def _check_lockstep(self) -> None:
+        """Refuses what only runs in lockstep have.
+
+        Raises:
+            TrainerError: The first of them.
+        """
+        for option, value in (("--algo", None if self.algo == "ppo" else self.algo), ("--from-sb3", self.from_sb3)):
+            if value is not None:
+                raise TrainerError(
+                    f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the "
+                    "file's behaviors and default_settings."
+                )
 
     def _is_build(self) -> bool:
         from trainer.players.location import can_be_launched

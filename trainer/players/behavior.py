@@ -9,6 +9,7 @@ from corridor_server.protocol.agents import Behavior
 from trainer.corridor import check_contract, is_corridor
 from trainer.errors import TrainerError
 from trainer.players.steps import sensors_of
+from trainer.players.unsupported import SEVERAL
 
 
 def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
@@ -24,8 +25,7 @@ def only_behavior(environment: UnityEnvironment) -> tuple[str, BehaviorSpec]:
         raise TrainerError("The player announced no behavior in its first message; look for agents in the scene.")
     if len(specs) != 1:
         raise TrainerError(
-            f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; "
-            "give all agents the same Behavior Name and team."
+            f"The player has {len(specs)} behaviors ({', '.join(specs)}), but one was expected; {SEVERAL}."
         )
     name, spec = next(iter(specs.items()))
     if is_corridor(name):

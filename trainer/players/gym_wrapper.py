@@ -263,5 +263,5 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         if count > 1:
             raise UnityGymException(
                 f"The environment has {count} agents, but a Gymnasium environment has one; "
-                "ask the player for one area, or use the vector path."
+                "ask the player for one area, or take UnityVecEnv."
             )

@@ -1,6 +1,7 @@
 """Agents as a run trains on them: what its learners have no use for ends the run where it first shows.
 
-Its policies can't keep to masks, and take vectors and one kind of action. A wrapper gives all of that to others.
+That is of runs in lockstep, whose policies can't keep to masks, and take vectors and one kind of action. The wrappers
+give all of that to others, and every other run learns from it (``Scene``).
 """
 
 from typing import Any

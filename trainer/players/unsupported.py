@@ -1,4 +1,4 @@
-"""What a scene may have that nothing here learns from: it ends the run where it first shows, and is never left out."""
+"""What agents that are trained in lockstep may not have: it ends the run where it first shows, and is not left out."""
 
 from collections.abc import Collection
 
@@ -7,7 +7,11 @@ from mlagents_envs.base_env import DecisionSteps
 
 from trainer.errors import TrainerError
 
-ELSEWHERE = "train this scene with mlagents-learn"
+# What trains or plays several behaviors, whoever it is that takes one.
+SEVERAL = (
+    "give all agents the same Behavior Name and team, train with a CONFIG.yaml that has default_settings, or take "
+    "UnityParallelEnv"
+)
 
 
 def refuse_other_behaviors(behaviors: Collection[str], own: str) -> None:
@@ -19,8 +23,7 @@ def refuse_other_behaviors(behaviors: Collection[str], own: str) -> None:
     if len(behaviors) > 1:
         others = ", ".join(name for name in behaviors if name != own)
         raise TrainerError(
-            f"Agents of behavior {others} have come beside those of {own}, but one behavior can be trained; give all "
-            f"agents the same Behavior Name and team, or {ELSEWHERE}."
+            f"Agents of behavior {others} have come beside those of {own}, but one behavior was expected; {SEVERAL}."
         )
 
 
@@ -34,6 +37,6 @@ def refuse_masks(decision: DecisionSteps) -> None:
         if np.count_nonzero(mask):
             row, choice = np.argwhere(mask)[0].tolist()
             raise TrainerError(
-                f"Agent {decision.agent_id[row]} masks choice {choice} of discrete branch {branch}, but masks can't be "
-                f"kept to; let the scene take every choice, or {ELSEWHERE}."
+                f"Agent {decision.agent_id[row]} masks choice {choice} of discrete branch {branch}, but a run with "
+                "--preset, --algo or --from-sb3 can't keep to masks; leave these options out."
             )

@@ -115,7 +115,7 @@ class UnityVecEnv(Slots):
 
 
 def observation_space(spec: BehaviorSpec) -> spaces.Box:
-    """Several vectors, one after another, for what learns from vectors alone.
+    """Several vectors, one after another, for runs in lockstep, which learn from vectors alone.
 
     Raises:
         TrainerError: There is another observation, or none.
@@ -124,8 +124,8 @@ def observation_space(spec: BehaviorSpec) -> spaces.Box:
     if not isinstance(space, spaces.Box):
         shapes = [tuple(observation.shape) for observation in spec.observation_specs]
         raise TrainerError(
-            f"The vector path takes vector observations, not shapes {shapes}; train an algorithm of your own through "
-            "UnityToGymWrapper or UnityVecEnv, which give them all."
+            f"A run with --preset, --algo or --from-sb3 takes vector observations, not shapes {shapes}; leave these "
+            "options out."
         )
     return space
 
@@ -140,6 +140,7 @@ def action_space(spec: BehaviorSpec) -> spaces.Space[Any]:
     if action.continuous_size and action.discrete_size:
         raise TrainerError(
             f"The behavior has {action.continuous_size} continuous actions and {action.discrete_size} discrete "
-            "branches; the vector path takes one kind."
+            "branches, but Stable-Baselines3's policies take one kind; corridor train takes both without --preset, "
+            "--algo and --from-sb3."
         )
     return behavior_spaces.action_space(action)

@@ -127,6 +127,8 @@ def _learn(
         if isinstance(players, Scene):
 
             def begin_scene(agents: int) -> None:
+                _check_penalty(config, players.behaviors, checkpoint)
+                _check_intrinsic(config, players.behaviors)
                 described = {name: plain_behavior(each) for name, each in players.behaviors.items()}
                 drafted.record_scene(config, described, agents)
                 draft.publish()
@@ -134,7 +136,6 @@ def _learn(
                 if agents < config.num_areas:
                     _say_who_came(config.num_areas, agents)
 
-            _check_penalty(config, players.behaviors, checkpoint)
             return learn_scene(config, folder, players, counters, begin_scene, checkpoint, episodes)
         if config.device == "cuda":
             raise TrainerError(
@@ -287,6 +288,16 @@ def _check_penalty(config: RunConfig, behaviors: Collection[str], checkpoint: Ch
         raise TrainerError(
             f"--penalty {config.penalty:g} is for a corridor, but behavior {', '.join(behaviors)} has rewards of its "
             "own; leave it out."
+        )
+
+
+def _check_intrinsic(config: RunConfig, behaviors: Collection[str]) -> None:
+    """Refuses ``--intrinsic rnd`` where nobody learns from it."""
+    signals = [config.settings_for(name).reward_signals for name in behaviors]
+    if config.curiosity.intrinsic == "rnd" and not any(each.rnd for each in signals):
+        raise TrainerError(
+            f"--intrinsic rnd has no effect on {', '.join(behaviors)} without a strength; give one with --c, or a "
+            "reward signal rnd in a CONFIG.yaml."
         )
 
 
