@@ -3,12 +3,14 @@
 import csv
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from conftest import BIN
 from raw_player import events, write_player
 from recorded_run import begun_run
 
@@ -84,6 +86,18 @@ def test_a_corridor_that_a_file_lists_has_its_penalty(tmp_path, free_port):
     (tmp_path / "it.yaml").write_text("behaviors: {Corridor: {max_steps: 64, hyperparameters: {batch_size: 8}}}")
     given = ("--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port, "--num-areas", 2)
     assert main(["train", str(tmp_path / "it.yaml"), *map(str, given), "--penalty", "0", "--eval-episodes", "1"]) == 0
+
+
+@pytest.mark.slow
+def test_the_file_in_the_docs_trains_without_unity(train, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "mlagents.md").read_text()
+    (text,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "it.yaml").write_text(text)
+    train(BIN / "corridor-server", tmp_path / "it.yaml", "--steps", 1_500, "--env-args", "--gym", "Pendulum-v1")
+    settings = record(tmp_path)["behaviors"]["Pendulum-v1"]
+    assert (settings["max_steps"], settings["hyperparameters"]["buffer_size"]) == (1_500, 1024)
+    summary = json.loads((tmp_path / "r" / "summary.json").read_text())
+    assert summary["behaviors"]["Pendulum-v1"]["updates"] == 2
 
 
 def test_success_is_of_all_episodes_or_unknown(train, tmp_path):
