@@ -181,8 +181,8 @@ def open_slots(
     with open_players(config, logs, connection, seed=seed, limits=limits) as players:
         if not isinstance(players, Players):
             raise TrainerError(
-                f"The run {config.run_id} was trained behavior by behavior, but one of the corridor, or with a preset, "
-                "was expected; corridor evaluate plays every run."
+                f"The run {config.run_id} is of behaviors {', '.join(players.behaviors) or 'that come late'}, but one "
+                "of the corridor, or with a preset, was expected; corridor evaluate plays every run."
             )
         yield players
 
