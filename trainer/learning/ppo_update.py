@@ -96,7 +96,7 @@ class PPOUpdate:
         } | ({"train/std": float(self._policy.log_std.detach().exp().mean())} if len(self._policy.log_std) else {})
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Adam's moments of every parameter, ``<kind>_<number>``; empty before the first update."""
+        """Adam's moments of every parameter that has had a gradient, ``<kind>_<number>``."""
         state = {}
         for number, parameter in enumerate(self._policy.parameters()):
             for kind, value in self._optimizer.state[parameter].items():
@@ -109,8 +109,8 @@ class PPOUpdate:
         Raises:
             KeyError: Something is missing.
         """
-        if state:
-            for number, parameter in enumerate(self._policy.parameters()):
+        for number, parameter in enumerate(self._policy.parameters()):
+            if f"step_{number}" in state:  # not of the deviation of actions that have no numbers
                 self._optimizer.state[parameter] = {
                     kind: torch.from_numpy(state[f"{kind}_{number}"].copy()).to(parameter.device) for kind in MOMENTS
                 }
