@@ -108,6 +108,11 @@ class PPOLearner:
         return self._learned + self.experience.closed
 
     @property
+    def learned(self) -> int:
+        """Transitions that it has learned from, over all parts of the run."""
+        return self._learned
+
+    @property
     def is_curious(self) -> bool:
         """Whether it learns from a reward of its own making, too."""
         return any(signal.module is not None for signal in self._signals)
@@ -234,6 +239,7 @@ class PPOLearner:
             "metrics": {tag: value if math.isfinite(value) else None for tag, value in self.metrics.items()},
             "sums": [[number, total] for number, total in self._sums.items()],
             "over": list(self._over),
+            "ended_returns": list(self.ended_returns),
             "random": self._generator.bit_generator.state,
         }
 
@@ -256,6 +262,7 @@ class PPOLearner:
         self.metrics = {tag: math.nan if value is None else value for tag, value in state["metrics"].items()}
         self._sums = {int(number): total for number, total in state["sums"]}
         self._over = list(state["over"])
+        self.ended_returns = list(state["ended_returns"])
         self._generator.bit_generator.state = state["random"]
 
     def load_policy(self, state: Mapping[str, Any]) -> None:
