@@ -194,3 +194,9 @@ def test_stable_baselines3_learns_with_it():
     before = model.policy.features_extractor.conditioning.weight.detach().clone()
     model.learn(16)
     assert not torch.equal(model.policy.features_extractor.conditioning.weight, before)
+
+
+@pytest.mark.parametrize("sensors", [(), (Sensor.of("nothing", (0,)),)])
+def test_agents_that_observe_nothing_are_refused(sensors):
+    with pytest.raises(TrainerError, match="observe nothing, but at least one number was expected"):
+        ObservationEncoder(observation_space(Behavior("Blind?team=0", sensors)), sensors)

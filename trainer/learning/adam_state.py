@@ -11,7 +11,7 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 def adam_state(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
-    """Adam's moments of every parameter, ``<kind>_<number>``; empty before its first step."""
+    """Adam's moments of every parameter that has had a gradient, ``<kind>_<number>``."""
     state = {}
     for number, parameter in enumerate(_parameters(optimizer)):
         for kind, value in optimizer.state.get(parameter, {}).items():
@@ -25,8 +25,8 @@ def load_adam_state(optimizer: torch.optim.Optimizer, state: Mapping[str, NDArra
     Raises:
         KeyError: Something is missing.
     """
-    if state:
-        for number, parameter in enumerate(_parameters(optimizer)):
+    for number, parameter in enumerate(_parameters(optimizer)):
+        if f"step_{number}" in state:  # not of one that never had a gradient
             moments = {kind: torch.from_numpy(state[f"{kind}_{number}"].copy()) for kind in _MOMENTS}
             fused = optimizer.defaults["fused"]  # has its steps counted where the parameters are
             optimizer.state[parameter] = {

@@ -190,6 +190,7 @@ class Learner(ABC):
         flat = {f"{part}/{name}": value for part, state in parts.items() for name, value in state.items()}
         return flat | {
             "counts": [self.learned, self.updates, self.episodes],
+            "ended_returns": list(self.ended_returns),
             "metrics": {tag: value if math.isfinite(value) else None for tag, value in self.metrics.items()},
         }
 
@@ -208,6 +209,7 @@ class Learner(ABC):
         for name, values in self.recent.items():
             values.extend(state[f"recent/{name}"].tolist())
         self.learned, self.updates, self.episodes = state["counts"]
+        self.ended_returns = list(state["ended_returns"])
         self.metrics = {tag: math.nan if value is None else value for tag, value in state["metrics"].items()}
 
     def load_policy(self, state: Mapping[str, Any]) -> None:

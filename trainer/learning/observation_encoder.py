@@ -11,6 +11,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from corridor_server.protocol.agents import VARIABLE_SIZE, Behavior, Sensor
+from trainer.errors import TrainerError
 from trainer.learning.picture_encoder import EncoderType, PictureEncoder, channel_axis
 
 ConditioningType = Literal["hyper", "none"]
@@ -53,7 +54,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         goal_conditioning_type: What goal signals do.
 
     Raises:
-        TrainerError: A picture is too small for this network.
+        TrainerError: A picture is too small for this network, or there is nothing to see.
     """
 
     def __init__(
@@ -68,6 +69,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         sizes = [_features(sensor, hidden_units) for sensor in sensors]
         goals = [number for number, sensor in enumerate(sensors) if sensor.kind == GOAL_SIGNAL]
         hyper = bool(goals) and goal_conditioning_type == "hyper"
+        if not sum(sizes):
+            raise TrainerError(
+                "The behavior's agents observe nothing, but at least one number was expected; add a sensor that sees "
+                "something."
+            )
         super().__init__(observation_space, hidden_units if hyper else sum(sizes))
         self._entity_places = [number for number, sensor in enumerate(sensors) if _is_buffer(sensor)]
         self._other_places = [number for number in range(len(sensors)) if number not in self._entity_places]

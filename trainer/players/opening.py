@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
 from trainer.config import BASE_PORT, ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
+from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
 from trainer.players.behavior import only_behavior
@@ -122,6 +123,7 @@ def open_players(
     limits: RestartLimits = RestartLimits(),  # noqa: B008 - frozen
     lives: Sequence[int] | None = None,
     states: Sequence[bytes] | None = None,
+    curricula: Curricula | None = None,
 ) -> Iterator[Players | Scene]:
     """Opens the run's players, and closes them whatever happens.
 
@@ -133,6 +135,7 @@ def open_players(
         limits: How often one that failed may be started again.
         lives: How often each was started before, in earlier parts of a resumed run.
         states: Of each, the areas' state to go on with.
+        curricula: Whose present lessons a player begins with, whenever it is started; None for the first ones.
 
     Yields:
         The players as a ``VecEnv`` where the run is in lockstep (a corridor, or with a preset), else as a scene.
@@ -144,7 +147,7 @@ def open_players(
 
     def connect(number: int, life: int) -> Connected:
         state = PlayerState(states[number] if states is not None and life == lives[number] else None)
-        return _connect(config, logs, connection, number, player_seed(seed, number, life), state)
+        return _connect(config, logs, connection, number, player_seed(seed, number, life), state, curricula)
 
     _, host, first = place(config.env, connection.base_port, connection.listen)
     if connection.base_port != BASE_PORT and first == place(config.env, BASE_PORT)[2]:
@@ -180,6 +183,7 @@ def open_slots(
     """
     with open_players(config, logs, connection, seed=seed, limits=limits) as players:
         if not isinstance(players, Players):
+            players.reset()  # which says what behaviors it has
             raise TrainerError(
                 f"The run {config.run_id} is of behaviors {', '.join(players.behaviors) or 'that come late'}, but one "
                 "of the corridor, or with a preset, was expected; corridor evaluate plays every run."
@@ -238,9 +242,15 @@ def _is_lockstep(config: RunConfig) -> bool:
 
 
 def _connect(
-    config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, number: int, seed: int, state: PlayerState
+    config: RunConfig,
+    logs: PlayerLogs,
+    connection: ConnectionOptions,
+    number: int,
+    seed: int,
+    state: PlayerState,
+    curricula: Curricula | None,
 ) -> Connected:
-    statistics, (engine, parameters) = Statistics(), channels(config, seed)
+    statistics, (engine, parameters) = Statistics(), channels(config, seed, curricula)
     environment = open_environment(
         config.env,
         seed=seed,

@@ -63,7 +63,6 @@ class Scene:
         self._restarts = [Restarts(number, limits, logs, launched) for number in range(len(lives))]
         self._former_exchange_seconds = 0.0  # of players that died
         self._fresh = [True] * len(lives)  # whose first reset was made by whoever opened it
-        self._parameters: Mapping[str, Any] = {}
         self.behaviors: dict[str, Behavior] = {}
         self._known: dict[tuple[int, str], BehaviorSpec] = {}  # by player, those that were looked at
         self._players = open_all(start, lives)
@@ -108,12 +107,11 @@ class Scene:
         return all(player.state.is_known for player in self._players)
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Has every player, and those that take a dead one's place, set environment parameters.
+        """Has every player set environment parameters; whoever opens one that takes a dead one's place, sets its own.
 
         Args:
             values: Numbers or samplers by name, as ``mlagents-learn``'s YAML has them.
         """
-        self._parameters = values
         for player in self._players:
             set_parameters(player.parameters, values, player.seed)
 
@@ -210,8 +208,7 @@ class Scene:
         def start() -> Connected:
             return self._start(number, self._earlier_lives[number] + restarts.count)
 
-        self._players[number] = player = restarts.start_again(failure, start)
-        set_parameters(player.parameters, self._parameters, player.seed)
+        self._players[number] = restarts.start_again(failure, start)
         self._fresh[number] = True
 
 

@@ -17,10 +17,8 @@ from trainer.players.location import BUILTIN
 from trainer.seeds import sampler_seed
 
 
-def channels(config: RunConfig, seed: int) -> list[SideChannel]:
+def channels(config: RunConfig, seed: int, curricula: Curricula | None = None) -> list[SideChannel]:
     """Engine settings and environment parameters: what carries a run's settings to one player with its first reset.
-
-    Of a curriculum, that is its first lesson.
 
     What the run has for a corridor alone, the penalty and the preset's parameters, goes to our own player only: of no
     other is known that early which behavior it has (see ``tell_corridor``).
@@ -28,16 +26,24 @@ def channels(config: RunConfig, seed: int) -> list[SideChannel]:
     Args:
         config: The run.
         seed: The player's, from which its samplers' follow.
+        curricula: Of the run's environment parameters, in their present lessons; None for the first ones.
     """
     engine, parameters = EngineConfigurationChannel(), EnvironmentParametersChannel()
     engine.set_configuration_parameters(**asdict(config.engine))
     ours = config.env == BUILTIN
     if ours:
         parameters.set_float_parameter(PENALTY, config.penalty)
-    for index, (name, value) in enumerate(Curricula(config.environment_parameters).values().items()):
+    lessons = Curricula(config.environment_parameters) if curricula is None else curricula
+    for index, (name, value) in enumerate(lessons.values().items()):
         if ours or name not in config.preset_parameters:
             _set(parameters, name, value, sampler_seed(seed, index))
     return [engine, parameters]
+
+
+def present_parameters(config: RunConfig, curricula: Curricula) -> dict[str, Any]:
+    """The environment parameters of the present lessons, without what only the paper's corridor has."""
+    ours = config.env == BUILTIN
+    return {name: value for name, value in curricula.values().items() if ours or name not in config.preset_parameters}
 
 
 def set_parameters(parameters: EnvironmentParametersChannel, values: Mapping[str, Any], seed: int) -> None:

@@ -130,8 +130,13 @@ class BehaviorLearners:
             behavior.discrete_branches,
         ):
             raise TrainerError(
-                f"Behavior {behavior.name} observes or does something else than {known.behavior.name}, but teams of "
-                "one behavior share a policy; give it another Behavior Name."
+                f"Behavior {behavior.name} observes or does something else than "
+                + (
+                    "the run's; give the build that it was trained on."
+                    if behavior.name == known.behavior.name
+                    else f"{known.behavior.name}, but teams of one behavior share a policy; give it another Behavior "
+                    "Name."
+                )
             )
         return known
 

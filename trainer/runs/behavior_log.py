@@ -16,7 +16,7 @@ class BehaviorLog:
 
     Args:
         folder: Where ``progress.csv`` and ``tensorboard`` go.
-        steps: That the behavior has taken before; later rows of a run that was cut are dropped.
+        steps: That its learner has learned from before; later rows of a run that was cut are dropped.
         every: Steps between two rows.
 
     Attributes:
@@ -25,7 +25,7 @@ class BehaviorLog:
 
     def __init__(self, folder: Path, steps: int, every: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.learned = 0
+        self.learned = steps
         self._every, self._written = every, steps - steps % every
         self._last_steps, self._last_seconds = steps, 0.0
         outputs = [ProgressFile(folder / "progress.csv", steps), TensorBoardLog(folder / "tensorboard", steps)]

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, corridor_of, is_corridor
+from trainer.curriculum import Curricula
 from trainer.drafts import Draft, written
 from trainer.errors import TrainerError
 from trainer.learning.algorithm_state import policy_sha256
@@ -114,6 +115,9 @@ def _learn(
     checkpoint = folder.read_checkpoint(config) if resumed and checkpoints(folder.checkpoints) else None
     so_far = Resumed() if checkpoint is None else resumed_from(checkpoint, config.num_envs)
     counters, drafted = replace(so_far.counters), RunFolder(draft.path)
+    curricula = Curricula(config.environment_parameters)
+    if checkpoint is not None and is_of_scene(checkpoint):
+        curricula.load_state_dict(checkpoint.part("curricula"))
     logs = PlayerLogs(drafted.logs, stay=False)
     with open_players(
         config,
@@ -123,6 +127,7 @@ def _learn(
         limits=limits,
         lives=so_far.lives,
         states=so_far.states,
+        curricula=curricula,
     ) as players:
         if isinstance(players, Scene):
 
@@ -136,7 +141,7 @@ def _learn(
                 if agents < config.num_areas:
                     _say_who_came(config.num_areas, agents)
 
-            return learn_scene(config, folder, players, counters, begin_scene, checkpoint, episodes)
+            return learn_scene(config, folder, players, counters, curricula, begin_scene, checkpoint, episodes)
         if config.device == "cuda":
             raise TrainerError(
                 "--device cuda has no effect on this run, whose networks are too small for a GPU; leave it out."

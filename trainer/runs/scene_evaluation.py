@@ -9,7 +9,9 @@ from corridor_server.protocol.agents import Agents
 from trainer.players.scene import Message, Scene
 from trainer.runs.behavior_learners import BehaviorLearners
 
-MOST_STEPS = 1_000_000  # agent steps, after which episodes that have not ended count as far as they came
+# After so many agent steps, episodes that have not ended count as far as they came.
+MOST_STEPS = 1_000_000
+MOST_LENGTH = 10_000  # of one episode: its behavior is not waited for any longer
 
 
 class PlayedEpisode(NamedTuple):
@@ -32,7 +34,11 @@ class _Running:
 
 
 def evaluate_scene(
-    learners: BehaviorLearners, scene: Scene, episodes: int, most_steps: int = MOST_STEPS
+    learners: BehaviorLearners,
+    scene: Scene,
+    episodes: int,
+    most_steps: int = MOST_STEPS,
+    most_length: int = MOST_LENGTH,
 ) -> dict[str, list[PlayedEpisode]]:
     """Plays with the policies as they are.
 
@@ -43,13 +49,14 @@ def evaluate_scene(
         scene: The players.
         episodes: How many of each behavior.
         most_steps: Agent steps after which to stop.
+        most_length: Of one episode, after which no other of its behavior is waited for.
 
     Returns:
         By behavior, without teams: the episodes in the order in which they began.
     """
     for _, learner in learners:
         learner.play()
-    tally = _Tally(episodes)
+    tally = _Tally(episodes, most_length)
     messages = scene.reset()
     while True:
         tally.count(messages)
@@ -63,18 +70,21 @@ def evaluate_scene(
 class _Tally:
     """The episodes of an evaluation, by behavior."""
 
-    def __init__(self, episodes: int) -> None:
-        self._wanted = episodes
+    def __init__(self, episodes: int, most_length: int) -> None:
+        self._wanted, self._most_length = episodes, most_length
         self._running: dict[tuple[int, str, int], _Running] = {}
         self._begun: dict[str, int] = {}
         self._free: dict[str, list[int]] = {}  # numbers of episodes that were dropped
+        self._endless: set[str] = set()
         self._ended: dict[str, dict[int, PlayedEpisode]] = {}
         self.steps = 0
 
     @property
     def is_complete(self) -> bool:
-        """Whether every behavior has enough."""
-        return bool(self._ended) and all(len(each) >= self._wanted for each in self._ended.values())
+        """Whether every behavior has enough, or an episode that counts and seems never to end."""
+        return bool(self._ended) and all(
+            len(each) >= self._wanted or name in self._endless for name, each in self._ended.items()
+        )
 
     def count(self, messages: Sequence[Message]) -> None:
         """Takes what the players' agents say."""
@@ -106,6 +116,8 @@ class _Tally:
                 running.total += reward
             running.length += 1
             self.steps += 1
+            if running.length >= self._most_length and running.number < self._wanted:
+                self._endless.add(behavior)
 
     def _number(self, behavior: str) -> int:
         free = self._free.get(behavior)

@@ -21,7 +21,7 @@ from trainer.runs.counters import Counters
 from trainer.runs.figures import save_learning_curve
 from trainer.runs.folder import RunFolder
 from trainer.runs.scene_evaluation import PlayedEpisode, evaluate_scene, summarise_scene
-from trainer.runs.scene_training import SceneTraining, scene_parameters
+from trainer.runs.scene_training import SceneTraining
 from trainer.seeds import evaluation_seed
 from trainer.terminal import Terminal
 
@@ -52,6 +52,7 @@ def learn_scene(
     folder: RunFolder,
     scene: Scene,
     counters: Counters,
+    curricula: Curricula,
     begin: Callable[[int], None],
     checkpoint: Checkpoint | None,
     episodes: int,
@@ -63,6 +64,7 @@ def learn_scene(
         folder: Where its results go.
         scene: Its players.
         counters: Of the checkpoint, or new ones.
+        curricula: In the lessons with which the players were opened.
         begin: Called before anything is written, with the number of agents that the first player has at first.
         checkpoint: Of a resumed run.
         episodes: Of the evaluation.
@@ -71,7 +73,7 @@ def learn_scene(
         TrainerError: A player failed, does not fit, or numbers went bad; what was learned until then is saved.
     """
     before = replace(counters)
-    training = SceneTraining(config, folder, scene, counters, checkpoint)
+    training = SceneTraining(config, folder, scene, counters, curricula, checkpoint)
     finished = training.train(begin)
     played = None
     if finished and not can_be_launched(config.env):
@@ -114,9 +116,9 @@ def _play(
     training: SceneTraining,
 ) -> Played:
     logs = PlayerLogs(folder.evaluation_logs)
-    with open_players(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits) as players:
+    seed, curricula = evaluation_seed(config.seed), training.curricula
+    with open_players(config, logs, connection, seed=seed, limits=limits, curricula=curricula) as players:
         assert isinstance(players, Scene)
-        players.set_parameters(training.parameters)
         return evaluate_scene(training.learners.on(players), players, episodes)
 
 
@@ -139,7 +141,9 @@ def evaluate_scene_run(
         TrainerError: It does not fit, or the player failed.
     """
     logs = PlayerLogs(RunFolder(draft.path).evaluation_logs, stay=False)
-    with open_players(config, logs, connection, seed=evaluation_seed(config.seed)) as players:
+    curricula = Curricula(config.environment_parameters)
+    curricula.load_state_dict(checkpoint.part("curricula"))
+    with open_players(config, logs, connection, seed=evaluation_seed(config.seed), curricula=curricula) as players:
         if not isinstance(players, Scene):
             raise TrainerError(
                 f"The player has the corridor alone, but {config.run_id} was trained on other behaviors."
@@ -148,9 +152,6 @@ def evaluate_scene_run(
         learners.restore(checkpoint, to_play=True)
         draft.publish()
         logs.folder, logs.stay = folder.evaluation_logs, True
-        curricula = Curricula(config.environment_parameters)
-        curricula.load_state_dict(checkpoint.part("curricula"))
-        players.set_parameters(scene_parameters(config, curricula))
         show_played(config, folder, evaluate_scene(learners, players, episodes))
 
 

@@ -12,8 +12,8 @@ from stable_baselines3.common.utils import set_random_seed
 from trainer.config import RunConfig
 from trainer.curriculum import Curricula
 from trainer.learning.algorithm_state import RandomStreams
-from trainer.players.location import BUILTIN
 from trainer.players.scene import Scene
+from trainer.players.settings import present_parameters
 from trainer.runs.behavior_learners import BehaviorLearners, asking_of
 from trainer.runs.behavior_log import BehaviorLog
 from trainer.runs.checkpoint import Checkpoint, CheckpointWriter, to_bytes
@@ -35,10 +35,12 @@ class SceneTraining:
         folder: Where its results go.
         scene: Its players.
         counters: Of the checkpoint, or new ones; updated as the run goes.
+        curricula: In the lessons with which the players were opened; updated as the run goes.
         checkpoint: Of a resumed run, whose players were opened with its states.
 
     Attributes:
         learners: Of every behavior.
+        curricula: As given.
 
     Raises:
         TrainerError: The checkpoint does not fit.
@@ -50,13 +52,14 @@ class SceneTraining:
         folder: RunFolder,
         scene: Scene,
         counters: Counters,
+        curricula: Curricula,
         checkpoint: Checkpoint | None = None,
     ) -> None:
         torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
         set_random_seed(config.seed)
         self._config, self._folder, self._scene, self._counters = config, folder, scene, counters
         self.learners = BehaviorLearners(config, scene)
-        self._curricula = Curricula(config.environment_parameters)
+        self.curricula = curricula
         self._random = RandomStreams()
         self._writer = CheckpointWriter(folder.checkpoints)
         self._logs: dict[str, BehaviorLog] = {}
@@ -65,13 +68,10 @@ class SceneTraining:
         config.check_behaviors(scene.behaviors)
         self._listed = {name.partition("?")[0] for name in scene.behaviors}
         self._goes_on = checkpoint is not None and self._restore(checkpoint)
+        # What each had learned from when this part of the run began.
+        self._before = {name: learner.learned for name, learner in self.learners}
         self._saved_steps = self._kept_steps = counters.env_steps
         self._next_save = 0.0
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """The environment parameters of the present lessons."""
-        return scene_parameters(self._config, self._curricula)
 
     def train(self, begin: Callable[[int], None]) -> bool:
         """Trains until every behavior has taken its steps, a signal, or an error; whatever ends it, the run is saved.
@@ -117,10 +117,8 @@ class SceneTraining:
     def _restore(self, checkpoint: Checkpoint) -> bool:
         """Puts everything back; returns whether the running episodes go on."""
         self.learners.restore(checkpoint)
-        self._curricula.load_state_dict(checkpoint.part("curricula"))
         for name, returns in checkpoint.part("lessons").items():
             self._lesson_returns[name] = list(returns)
-        self._tell_lessons()
         saved, found = checkpoint.part("asking"), asking_of(self._messages)
         goes_on = saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved)
         if goes_on:
@@ -135,35 +133,32 @@ class SceneTraining:
         changed = must_reset = False
         for name, learner in self.learners:
             ended, learner.ended_returns = learner.ended_returns, []
-            if not ended or not self._curricula.numbers:
+            if not ended or not self.curricula.numbers:
                 continue
             returns = self._lesson_returns.setdefault(name, [])
             returns.extend(ended)
-            del returns[: -self._curricula.episodes(name)]
-            results = self._curricula.update(name, learner.steps / learner.settings.max_steps, returns)
+            del returns[: -self.curricula.episodes(name)]
+            results = self.curricula.update(name, learner.steps / learner.settings.max_steps, returns)
             changed, must_reset = changed or results[0], must_reset or results[1]
         if not changed:
             return
         self._lesson_returns.clear()
-        self._tell_lessons()
+        self._scene.set_parameters(present_parameters(self._config, self.curricula))
         if must_reset:
             self._messages = self._scene.reset()
             self.learners.take(self._messages)
-
-    def _tell_lessons(self) -> None:
-        self._scene.set_parameters(self.parameters)
 
     def _parts(self) -> dict[str, Any]:
         return {
             **self.learners.state_dict(),
             "players": self._scene,
-            "curricula": self._curricula,
+            "curricula": self.curricula,
             "random": self._random,
         }
 
     def _save_update(self) -> None:
-        """Saves after an update, unless the last checkpoint was just now and takes long."""
-        if time.monotonic() >= self._next_save or self._is_time_to_keep():
+        """Saves after an update, unless the last checkpoint was just now and takes long; what is learned is saved."""
+        if time.monotonic() >= self._next_save or self._is_time_to_keep() or self.learners.are_done:
             self._save()
 
     def _is_time_to_keep(self) -> bool:
@@ -200,8 +195,11 @@ class SceneTraining:
         """
         exact = self._saved_steps > 0 and self._scene.says_its_state and not self.learners.are_done
         try:
-            if self._counters.env_steps > self._saved_steps and not exact:
-                self._save()
+            if self._counters.env_steps > self._saved_steps:
+                if exact:
+                    self._counters.env_steps = self._saved_steps  # from where a resumed run goes on
+                else:
+                    self._save()
             self._writer.keep(max([1, *(learner.settings.keep_checkpoints for _, learner in self.learners)]))
         finally:
             for log in self._logs.values():
@@ -215,7 +213,7 @@ class SceneTraining:
             line = self._config.run_id if only else name
             if log is None:
                 path = self._folder.behavior(name, only).path
-                self._logs[name] = log = BehaviorLog(path, learner.steps, learner.settings.summary_freq)
+                self._logs[name] = log = BehaviorLog(path, self._before.get(name, 0), learner.settings.summary_freq)
                 display.add(line, learner.settings.max_steps, learner.steps)
             if learner.learned == log.learned:
                 continue
@@ -224,7 +222,7 @@ class SceneTraining:
             if log.is_due(learner):
                 if statistics is None:
                     statistics = {key: float(np.mean(each)) for key, each in self._scene.statistics().items() if each}
-                    statistics |= {f"Environment/Lesson Number/{key}": n for key, n in self._curricula.numbers.items()}
+                    statistics |= {f"Environment/Lesson Number/{key}": n for key, n in self.curricula.numbers.items()}
                 log.write(learner, self._counters.wall_seconds, statistics)
 
     def is_only(self, name: str) -> bool:
@@ -240,9 +238,3 @@ class _Plain:
 
     def state_dict(self) -> Mapping[str, Any]:
         return self._values
-
-
-def scene_parameters(config: RunConfig, curricula: Curricula) -> dict[str, Any]:
-    """The environment parameters of the present lessons, without what only the paper's corridor has."""
-    ours = config.env == BUILTIN
-    return {name: value for name, value in curricula.values().items() if ours or name not in config.preset_parameters}
