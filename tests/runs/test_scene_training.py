@@ -117,12 +117,12 @@ def test_no_forbidden_choice_is_ever_taken(tmp_path, free_port):
 
 OPTIMA = """
 default_settings:
-  hyperparameters: {batch_size: 256, buffer_size: 2048, learning_rate: 0.003, beta: 0.001, num_epoch: 4}
+  hyperparameters: {batch_size: 256, buffer_size: 2048, learning_rate: 0.002, beta: 0.001, num_epoch: 4}
   network_settings: {hidden_units: 64}
 behaviors:
-  Aim: {max_steps: 100000}
-  Herd: {max_steps: 40000}
-  Errand: {max_steps: 20000}
+  Aim: {max_steps: 100000, hyperparameters: {learning_rate: 0.003}}
+  Herd: {max_steps: 60000}
+  Errand: {max_steps: 30000}
 """
 
 
