@@ -64,6 +64,7 @@ class SceneTraining:
         self._writer = CheckpointWriter(folder.checkpoints)
         self._logs: dict[str, BehaviorLog] = {}
         self._lesson_returns: dict[str, list[float]] = {}  # of episodes since the last change of a lesson
+        self._statistics: dict[str, list[float]] = {}  # of the players, since a row was written
         self._messages = scene.reset()
         config.check_behaviors(scene.behaviors)
         self._listed = {name.partition("?")[0] for name in scene.behaviors}
@@ -98,8 +99,8 @@ class SceneTraining:
                     counters.exchange_seconds = earlier.exchange_seconds + scene.exchange_seconds
                     counters.restarts = earlier.restarts + scene.restarts
                     if learners.learn():
+                        self._report(display)  # first: a run that is cut in between drops rows, but misses none
                         self._save_update()
-                        self._report(display)
                     if learners.are_done or signals.received:
                         break
                     self._teach()
@@ -119,6 +120,7 @@ class SceneTraining:
         self.learners.restore(checkpoint)
         for name, returns in checkpoint.part("lessons").items():
             self._lesson_returns[name] = list(returns)
+        self._statistics = {name: list(values) for name, values in checkpoint.part("statistics").items()}
         saved, found = checkpoint.part("asking"), asking_of(self._messages)
         goes_on = saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved)
         if goes_on:
@@ -171,6 +173,7 @@ class SceneTraining:
         values = {
             "behaviors": self.learners.described(),
             "lessons": self._lesson_returns,
+            "statistics": self._reported(),
             "asking": asking_of(self._messages),
         }
         parts = {**self._parts(), **{name: _Plain(value) for name, value in values.items()}}
@@ -207,7 +210,6 @@ class SceneTraining:
 
     def _report(self, display: ProgressDisplay) -> None:
         """Shows every behavior's progress, and logs a row where it is time to."""
-        statistics: dict[str, float] | None = None
         for name, learner in self.learners:
             log, only = self._logs.get(name), self.is_only(name)
             line = self._config.run_id if only else name
@@ -220,10 +222,16 @@ class SceneTraining:
             log.learned = learner.learned
             display.update(line, log.snapshot(learner))
             if log.is_due(learner):
-                if statistics is None:
-                    statistics = {key: float(np.mean(each)) for key, each in self._scene.statistics().items() if each}
-                    statistics |= {f"Environment/Lesson Number/{key}": n for key, n in self.curricula.numbers.items()}
-                log.write(learner, self._counters.wall_seconds, statistics)
+                statistics = {key: float(np.mean(each)) for key, each in self._reported().items() if each}
+                lessons = {f"Environment/Lesson Number/{key}": n for key, n in self.curricula.numbers.items()}
+                log.write(learner, self._counters.wall_seconds, statistics | lessons)
+                self._statistics = {}
+
+    def _reported(self) -> dict[str, list[float]]:
+        """What the players have reported since a row was written."""
+        for name, values in self._scene.statistics().items():
+            self._statistics.setdefault(name, []).extend(values)
+        return self._statistics
 
     def is_only(self, name: str) -> bool:
         """Whether the run's own folder is this behavior's: one that is alone, and was from the beginning."""
