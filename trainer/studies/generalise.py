@@ -29,7 +29,7 @@ from trainer.drafts import Draft, written
 from trainer.errors import TrainerError
 from trainer.learning.stages import build_stages
 from trainer.players.failures import PlayerLogs
-from trainer.players.location import BUILTIN
+from trainer.players.location import BUILTIN, can_be_launched
 from trainer.players.opening import open_slots
 from trainer.runs.checkpoint import checkpoints
 from trainer.runs.evaluation import evaluate, summarise
@@ -198,7 +198,9 @@ def play(folder: RunFolder, config: RunConfig, change: Change, episodes: int, ti
             file = temporary / "corridor.json"
             file.write_text(json.dumps({"num_opponents": change.opponents}), encoding="utf-8")
             changed = dataclasses.replace(changed, env_args=[*config.env_args, "--config", str(file)])
-        connection = ConnectionOptions(base_port=free_port(), timeout_wait=timeout_wait)
+        connection = ConnectionOptions(timeout_wait=timeout_wait)
+        if can_be_launched(config.env):  # else it has a port of its own
+            connection = dataclasses.replace(connection, base_port=free_port())
         logs = PlayerLogs(temporary, stay=False)
         with open_slots(changed, logs, connection, seed=evaluation_seed(config.seed)) as players:
             shown = NearestOpponent(players)
