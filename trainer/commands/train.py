@@ -60,7 +60,7 @@ class Train(Options):
     num_envs: Count = 1
     """Players, stepped concurrently, on consecutive ports."""
     num_areas: Count | None = None
-    """Training areas in each player; the preset's if not given."""
+    """Training areas in each player; if not given, the preset's, or 1 where a file has settings for behaviors."""
     results_dir: ResultsDir = RESULTS
     resume: bool = False
     """Continue an existing run."""
@@ -185,7 +185,7 @@ class Train(Options):
             env=self.env,
             algo=self.algo,
             penalty=self.penalty,
-            num_areas=self.num_areas,
+            num_areas=1 if self.num_areas is None and (behaviors or default is not None) else self.num_areas,
             intrinsic=self.intrinsic,
             from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
             num_envs=self.num_envs,

@@ -34,9 +34,7 @@ def channels(config: RunConfig, seed: int, curricula: Curricula | None = None) -
     if ours:
         parameters.set_float_parameter(PENALTY, config.penalty)
     lessons = Curricula(config.environment_parameters) if curricula is None else curricula
-    for index, (name, value) in enumerate(lessons.values().items()):
-        if ours or name not in config.preset_parameters:
-            _set(parameters, name, value, sampler_seed(seed, index))
+    set_parameters(parameters, present_parameters(config, lessons), seed)
     return [engine, parameters]
 
 

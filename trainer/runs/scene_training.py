@@ -118,6 +118,7 @@ class SceneTraining:
     def _restore(self, checkpoint: Checkpoint) -> bool:
         """Puts everything back; returns whether the running episodes go on."""
         self.learners.restore(checkpoint)
+        self._listed = set(checkpoint.part("listed")["names"])
         for name, returns in checkpoint.part("lessons").items():
             self._lesson_returns[name] = list(returns)
         self._statistics = {name: list(values) for name, values in checkpoint.part("statistics").items()}
@@ -173,6 +174,7 @@ class SceneTraining:
         values = {
             "behaviors": self.learners.described(),
             "lessons": self._lesson_returns,
+            "listed": {"names": sorted(self._listed)},
             "statistics": self._reported(),
             "asking": asking_of(self._messages),
         }
