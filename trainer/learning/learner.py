@@ -93,6 +93,11 @@ class Learner(ABC):
         return min(self.learned / self.settings.max_steps, 1.0)
 
     @property
+    def intrinsic_strength(self) -> float:
+        """How strong the rewards of its own making are, all together; 0 if it has none."""
+        return sum(signal.strength for signal in self._signals if signal.module is not None)
+
+    @property
     def is_curious(self) -> bool:
         """Whether it learns from a reward of its own making, too."""
         return any(signal.module is not None for signal in self._signals)

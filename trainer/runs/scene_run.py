@@ -164,6 +164,7 @@ def _write_summary(config: RunConfig, folder: RunFolder, learned: LearnedScene, 
             "env_steps": learner.steps,
             "episodes": learner.episodes,
             "updates": learner.updates,
+            "c": learner.intrinsic_strength,
             "evaluation": evaluations.get(name),
             "policy_sha256": weights_sha256(learner.weights()),
         }
@@ -173,6 +174,8 @@ def _write_summary(config: RunConfig, folder: RunFolder, learned: LearnedScene, 
     folder.write_summary(
         {
             **config.facts(),
+            "preset": None,  # nor its curiosity had a part in it
+            "c": None if only is None else only["c"],
             "env_steps": counters.env_steps,
             "episodes": counters.episodes,
             "wall_seconds": round(counters.wall_seconds, 3),
