@@ -107,6 +107,7 @@ behaviors:
 """
 
 
+@pytest.mark.slow
 def test_no_forbidden_choice_is_ever_taken(tmp_path, free_port):
     train(tmp_path, free_port, "forbidden_choices.py", CHOOSER, "--num-areas", 16, "--eval-episodes", 64)
     for folder, least in (("run_logs", 4000), ("run_logs/evaluation", 64 * 16)):
