@@ -182,7 +182,7 @@ def _held(hint: Any, value: Any, ranges: tuple[Range, ...] = (Range(),)) -> Any:
             return None
         kinds = [each for each in arguments if each is not NoneType]
         if len(kinds) == 1:
-            return _held(kinds[0], value)
+            return _held(kinds[0], value, ranges)
         hint = tuple(kinds)
     if hint in (int, float):
         return _number(value, hint is int, ranges)
