@@ -129,13 +129,18 @@ def names_and_values(values: object, section: str) -> Mapping[Any, Any]:
         SettingError: It holds something else.
     """
     if not isinstance(values, Mapping):
-        raise SettingError(f"{section} is {shown(values)}, but lines 'name: value' were expected.")
+        raise SettingError(f"{_as_text(section)} is {shown(values)}, but lines 'name: value' were expected.")
     return values
+
+
+def _as_text(name: str) -> str:
+    """A name as it stands in a sentence; somebody may have put a line's end into it."""
+    return name if name.isprintable() and name else shown(name)
 
 
 def nearest(name: object, known: Iterable[str]) -> str:
     """What a refusal of an unknown name says of those that there are."""
-    names = list(known)
+    names = [_as_text(each) for each in known]
     close = difflib.get_close_matches(str(name)[:100], names, 1)
     return f"the nearest name is {close[0]}" if close else f"known ones are {', '.join(names) or 'none'}"
 
