@@ -32,18 +32,20 @@ def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, pat
         ("intrinsic_reward", "intrinsic reward per step", OPPONENT_COLOUR),
     ]
     figure = _figure(9.0, 5.4)
+    long = max((row["env_steps"] or 0.0 for row in rows), default=0.0) >= 1e6
+    unit, units = (1e6, "millions") if long else (1e3, "thousands")
     for index, (column, label, colour) in enumerate(panels):
         axes = figure.add_subplot(2, 2, index + 1)
         points = [(row["env_steps"], row[column]) for row in rows if row[column] is not None]
         if points:
             steps, values = np.array(points, dtype=float).T
-            axes.plot(steps / 1e6, values, color=colour, linewidth=1.4)
+            axes.plot(steps / unit, values, color=colour, linewidth=1.4)
         else:
             axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=WALL_COLOUR)
         if column == "success_rate":
             axes.set_ylim(-0.03, 1.03)
         axes.set_ylabel(label)
-        axes.set_xlabel("agent steps (millions)")
+        axes.set_xlabel(f"agent steps ({units})")
         _tidy(axes)
     figure.suptitle(title)
     _save(figure, path)
