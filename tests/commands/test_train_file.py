@@ -249,7 +249,7 @@ def test_a_resumed_run_may_have_another_length_and_device_but_not_other_hyperpar
     _, run = typed(PYRAMIDS, "FILE", "--run-id", "r")
     recorded(run, tmp_path)
     changed = PYRAMIDS.replace("10000000", "20000000").replace("summary_freq: 30000", "summary_freq: 5")
-    _, longer = typed(changed, "FILE", "--run-id", "r", "--device", "cpu", "--preset", "fast")
+    _, longer = typed(changed, "FILE", "--run-id", "r", "--device", "cpu")
     with RunFolder.claim(longer, tmp_path, resume=True, force=False):
         pass
     _, other = typed(PYRAMIDS.replace("beta: 0.01", "beta: 0.02"), "FILE", "--run-id", "r")

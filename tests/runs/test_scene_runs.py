@@ -79,6 +79,13 @@ class Walkers:
         return {"lives": [0]}
 
 
+class Sightless(Walkers):
+    """Agents that see the same at any time."""
+
+    def _asking(self) -> Agents:
+        return Agents.that_ask([0, 1], (np.zeros((2, 2), np.float32),), [0.0, 0.0])
+
+
 @pytest.fixture
 def config(tmp_path):
     file = tmp_path / "config.yaml"
@@ -135,6 +142,15 @@ def test_a_run_that_was_cut_has_the_rows_of_one_that_was_not(config, tmp_path, c
     assert steps[0] == ["24", "40", "64", "80"]
     assert len(steps[1]) == len(set(steps[1])) == 4
     assert steps[1][-1] == "80"
+
+
+def test_episodes_do_not_go_on_where_the_player_has_not_said_so_though_it_shows_the_same_again(
+    config, tmp_path, capsys
+):
+    with pytest.raises(TrainerError, match="is gone"):
+        train(config, tmp_path / "r", Sightless(dies_after=13))
+    train(config, tmp_path / "r", Sightless(), resume=True)
+    assert "new episodes begin" in capsys.readouterr().out
 
 
 def test_returns_that_no_lesson_has_counted_yet_are_saved(config):

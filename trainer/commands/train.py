@@ -209,7 +209,8 @@ class Train(Options):
         Raises:
             TrainerError: The first of them.
         """
-        for option, value in (("--algo", None if self.algo == "ppo" else self.algo), ("--from-sb3", self.from_sb3)):
+        algo = None if self.algo == "ppo" else self.algo
+        for option, value in (("--preset", self.training.preset), ("--algo", algo), ("--from-sb3", self.from_sb3)):
             if value is not None:
                 raise TrainerError(
                     f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the "

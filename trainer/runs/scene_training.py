@@ -123,7 +123,12 @@ class SceneTraining:
             self._lesson_returns[name] = list(returns)
         self._statistics = {name: list(values) for name, values in checkpoint.part("statistics").items()}
         saved, found = checkpoint.part("asking"), asking_of(self._messages)
-        goes_on = saved.keys() == found.keys() and all(np.array_equal(saved[name], found[name]) for name in saved)
+        said = checkpoint.part("players")
+        goes_on = (
+            all(f"state_{number}" in said for number in range(len(self._scene)))  # or what is alike is so by chance
+            and saved.keys() == found.keys()
+            and all(np.array_equal(saved[name], found[name]) for name in saved)
+        )
         if goes_on:
             self._messages = [message._replace(anew=False) for message in self._messages]
         else:
