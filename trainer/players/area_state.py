@@ -4,7 +4,11 @@ Players that do not know the channel skip its messages, as the protocol has it, 
 player begins new episodes when it is resumed.
 """
 
+from collections.abc import Sequence
+
+import numpy as np
 from mlagents_envs.side_channel.side_channel import IncomingMessage, OutgoingMessage, SideChannel
+from numpy.typing import NDArray
 
 from corridor_server.protocol.side_channels import AREA_STATE
 
@@ -46,3 +50,10 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         message = OutgoingMessage()
         message.set_raw_bytes(bytearray(payload))
         self.queue_message_to_send(message)
+
+
+def said_states(players: Sequence[PlayerState]) -> dict[str, NDArray[np.uint8]]:
+    """What every player answered last, ``state_<number>``, as a checkpoint has it; nothing if one has not."""
+    answers = [player.state for player in players]
+    known = [np.frombuffer(answer, np.uint8) for answer in answers if answer is not None]
+    return {f"state_{number}": state for number, state in enumerate(known)} if len(known) == len(answers) else {}

@@ -9,6 +9,7 @@ from mlagents_envs.base_env import ActionTuple, BehaviorSpec, DecisionSteps, Ter
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
+from trainer.players.area_state import said_states
 from trainer.players.behavior import described
 from trainer.players.connected import Connected, open_all
 from trainer.players.failures import FAILURES, BadNumbers, PlayerLogs, explain
@@ -130,9 +131,7 @@ class Scene:
 
     def state_dict(self) -> dict[str, Any]:
         """``lives``, how often each was started before, and if all have said it, ``state_<number>`` of each, bytes."""
-        answers = [player.state.state for player in self._players]
-        known = [np.frombuffer(answer, np.uint8) for answer in answers if answer is not None]
-        states = {f"state_{number}": state for number, state in enumerate(known)} if len(known) == len(answers) else {}
+        states = said_states([player.state for player in self._players])
         lives = [earlier + each.count for earlier, each in zip(self._earlier_lives, self._restarts, strict=True)]
         return {"lives": lives, **states}
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from trainer.config import RestartLimits
 from trainer.errors import TrainerError
-from trainer.players.area_state import PlayerState
+from trainer.players.area_state import PlayerState, said_states
 from trainer.players.connected import open_all
 from trainer.players.environment import Environment
 from trainer.players.failures import FAILURES, BadNumbers, PlayerLogs, explain
@@ -109,9 +109,7 @@ class Players(Slots):
             ``lives``, how often each was started before the present one, in the whole run; ``observations``, what
             every slot showed last; and, if all have answered to ``ask_states``, ``state_<number>`` of each, bytes.
         """
-        answers = [player.state.state for player in self._players]
-        known = [np.frombuffer(answer, np.uint8) for answer in answers if answer is not None]
-        states = {f"state_{number}": state for number, state in enumerate(known)} if len(known) == len(answers) else {}
+        states = said_states([player.state for player in self._players])
         lives = [earlier + each.count for earlier, each in zip(self._earlier_lives, self._restarts, strict=True)]
         return {"lives": lives, "observations": self.observations, **states}
 
