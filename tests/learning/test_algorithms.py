@@ -118,7 +118,7 @@ def test_rnd_is_half_the_squared_error_for_the_next_observation():
     module = distillation()
     s, action, s_next = np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32), np.float32([[0.5, -1.0]])
     outputs = [
-        network.w2 @ np.tanh(network.w1 @ s_next[0] + network.b1) + network.b2
+        network.weights[1] @ np.tanh(network.weights[0] @ s_next[0] + network.biases[0]) + network.biases[1]
         for network in (module.predictor, module.target)
     ]
     expected = 0.5 * np.sum((outputs[0] - outputs[1]) ** 2)
@@ -132,14 +132,14 @@ def test_rnd_gets_used_to_what_it_sees_and_to_nothing_else():
         np.full((8, 2), 0.5, np.float32),
         np.full((8, 2), -3, np.float32),
     )
-    fixed = module.target.w1.copy()
+    fixed = module.target.weights[0].copy()
     before = [module.intrinsic_reward(seen, action, where)[0] for where in (seen, unseen)]
     losses = [module.learn(seen, action, seen)["rnd_loss"] for _ in range(300)]
     after = [module.intrinsic_reward(seen, action, where)[0] for where in (seen, unseen)]
     assert losses[0] == pytest.approx(before[0], rel=1e-5)
     assert after[0] < 1e-3 * before[0]
     assert after[1] > 0.2 * before[1]
-    assert (module.target.w1 == fixed).all()
+    assert (module.target.weights[0] == fixed).all()
 
 
 def test_rnd_takes_the_place_of_icm():

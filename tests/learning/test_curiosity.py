@@ -56,8 +56,8 @@ def module(observations: int = 2, action_space: spaces.Space = BOX, **config) ->
 
 
 def fill(network: Network, w1: list[list[float]], w2: list[list[float]]) -> None:
-    network.w1[...], network.w2[...] = w1, w2
-    network.b1[...] = network.b2[...] = 0.0
+    network.weights[0][...], network.weights[1][...] = w1, w2
+    network.biases[0][...] = network.biases[1][...] = 0.0
 
 
 def test_eq_6_and_both_losses_by_hand():
@@ -84,7 +84,10 @@ def test_the_gradient_is_autograds(action_space):
     losses = icm.differentiate(s, a, s_next)
 
     weights = {
-        network: [torch.tensor(each, requires_grad=True) for each in (network.w1, network.b1, network.w2, network.b2)]
+        network: [
+            torch.tensor(each, requires_grad=True)
+            for each in (network.weights[0], network.biases[0], network.weights[1], network.biases[1])
+        ]
         for network in (icm.encoder, icm.inverse_model, icm.forward_model)
     }
 

@@ -124,11 +124,11 @@ def test_predictions_come_from_the_same_parameters():
         mean = ours.policy.get_distribution(tensor).distribution.mean.numpy()
         value = ours.policy.predict_values(tensor).numpy()
     assert np.allclose(ours.predict(observation, deterministic=True)[0], np.clip(mean[0], -1, 1))
-    assert np.allclose(ours._networks.values(observation[None]), value[0])
+    assert np.allclose(ours._networks.values(observation[None]), value)
 
 
 def test_another_form_of_policy_is_refused():
-    with pytest.raises(ValueError, match="two hidden tanh layers of one size"):
-        LeanPPO("MlpPolicy", corridor(1), policy_kwargs={"net_arch": [8]})
+    with pytest.raises(ValueError, match="dense tanh layers"):
+        LeanPPO("MlpPolicy", corridor(1), policy_kwargs={"activation_fn": torch.nn.ReLU})
     with pytest.raises(ValueError, match="takes Box actions"):
         LeanPPO("MlpPolicy", make_vec_env("CartPole-v1", 1))

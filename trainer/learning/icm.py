@@ -5,7 +5,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from trainer.config import CuriosityConfig
-from trainer.learning.networks import Network, Singles, joined
+from trainer.learning.kernels import Singles
+from trainer.learning.networks import Network, joined
 
 
 class IntrinsicCuriosityModule:
@@ -43,8 +44,8 @@ class IntrinsicCuriosityModule:
         self.adam = joined((self.encoder, self.inverse_model, self.forward_model), generator)
         self.scale = config.scale
         self._forward_weight = np.float32(config.forward_weight)
-        self._rates = np.full(self.adam.parameters.size, config.learning_rate, np.float32)
-        self._rates[: self.encoder.size] *= np.float32(config.encoder_rate)
+        self.adam.factors[: self.encoder.size] = config.encoder_rate
+        self._rate = config.learning_rate
 
     def intrinsic_reward(self, observations: Singles, actions: Singles, next_observations: Singles) -> Singles:
         """r_i of eq. 6, (n,): half the squared distance between predicted and actual features.
@@ -68,11 +69,11 @@ class IntrinsicCuriosityModule:
         count, size = len(observations), self._features
         taken = self._inputs(actions)
         both = np.concatenate((observations, next_observations))
-        hidden, features = self.encoder(both)
+        given, features = self.encoder(both)
         inverse_inputs = np.concatenate((features[:count], features[count:]), axis=1)
-        inverse_hidden, guessed = self.inverse_model(inverse_inputs)
+        inverse_given, guessed = self.inverse_model(inverse_inputs)
         forward_inputs = np.concatenate((features[:count], taken), axis=1)
-        forward_hidden, predicted = self.forward_model(forward_inputs)
+        forward_given, predicted = self.forward_model(forward_inputs)
 
         inverse_loss, guessed_slope = self._inverse_error(guessed, taken)
         guessed_slope *= (np.float32(1.0) - self._forward_weight) / np.float32(count)
@@ -80,18 +81,18 @@ class IntrinsicCuriosityModule:
         forward_loss = np.float32(0.5) * np.vdot(error, error) / np.float32(count)
         error *= self._forward_weight / np.float32(count)
 
-        back = self.inverse_model.differentiate(inverse_inputs, inverse_hidden, guessed_slope) @ self.inverse_model.w1
+        back = self.inverse_model.differentiate(inverse_given, guessed_slope) @ self.inverse_model.weights[0]
         slope = np.concatenate((back[:, :size], back[:, size:]))
-        back = self.forward_model.differentiate(forward_inputs, forward_hidden, error)
-        slope[:count] += back @ self.forward_model.w1[:, :size]
+        back = self.forward_model.differentiate(forward_given, error)
+        slope[:count] += back @ self.forward_model.weights[0][:, :size]
         slope[count:] -= error
-        self.encoder.differentiate(both, hidden, slope)
+        self.encoder.differentiate(given, slope)
         return forward_loss, inverse_loss
 
     def learn(self, observations: Singles, actions: Singles, next_observations: Singles) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``forward_loss`` and ``inverse_loss``."""
         forward_loss, inverse_loss = self.differentiate(observations, actions, next_observations)
-        self.adam.descend(self._rates)
+        self.adam.descend(self._rate)
         return {"forward_loss": float(forward_loss), "inverse_loss": float(inverse_loss)}
 
     def _inputs(self, actions: Singles) -> Singles:

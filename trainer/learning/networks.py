@@ -6,11 +6,11 @@ many layers there are; each layer's arrays are views of them.
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Singles = NDArray[np.float32]
+from trainer.learning.kernels import Singles, adam_step, add_bias_tanh, to_before_tanh
 
 
 class Adam:
@@ -21,24 +21,32 @@ class Adam:
         gradient: (size,), to be filled in before ``descend``.
         moment: (size,), the running mean of the gradient.
         square: (size,), the running mean of its square.
+        factors: (size,), of each parameter on the learning rate.
         steps: How many steps were taken.
     """
 
     def __init__(self, size: int) -> None:
         self.parameters, self.gradient, self.moment, self.square = (np.zeros(size, np.float32) for _ in range(4))
+        self.factors = np.ones(size, np.float32)
         self.steps = 0
 
-    def descend(self, rate: float | Singles, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
-        """Takes one step against the gradient, as ``torch.optim.Adam`` does, at one rate or each parameter's own."""
+    def descend(self, rate: float, betas: tuple[float, float] = (0.9, 0.999), epsilon: float = 1e-8) -> None:
+        """Takes one step against the gradient, as ``torch.optim.Adam`` does."""
         self.steps += 1
         beta1, beta2 = betas
-        self.moment += (self.gradient - self.moment) * np.float32(1.0 - beta1)
-        self.square *= np.float32(beta2)
-        self.square += np.square(self.gradient) * np.float32(1.0 - beta2)
-        denominator = np.sqrt(self.square)
-        denominator *= np.float32(1.0 / math.sqrt(1.0 - beta2**self.steps))
-        denominator += np.float32(epsilon)
-        self.parameters -= self.moment / denominator * np.asarray(rate / (1.0 - beta1**self.steps), np.float32)
+        adam_step(
+            self.parameters,
+            self.gradient,
+            self.moment,
+            self.square,
+            self.factors,
+            np.float32(rate / (1.0 - beta1**self.steps)),
+            np.float32(1.0 - beta1),
+            np.float32(beta2),
+            np.float32(1.0 - beta2),
+            np.float32(1.0 / math.sqrt(1.0 - beta2**self.steps)),
+            np.float32(epsilon),
+        )
 
     def state_dict(self) -> dict[str, Singles]:
         """Everything that it learns and remembers; the arrays are copies."""
@@ -61,48 +69,66 @@ class Adam:
 
 
 class Network:
-    """A hidden tanh layer and a linear one.
+    """Hidden tanh layers and a linear one.
 
     Args:
-        inputs: Length of an input.
-        hidden: Units of the hidden layer.
-        outputs: Length of an output.
+        sizes: Of an input, of each hidden layer, and of an output.
+
+    Attributes:
+        weights: Of each layer, (units, units before).
+        biases: Of each layer, (units,).
     """
 
-    def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
-        self.shapes = [(hidden, inputs), (hidden,), (outputs, hidden), (outputs,)]
+    def __init__(self, *sizes: int) -> None:
+        self.shapes: list[tuple[int, ...]] = []
+        for before, units in pairwise(sizes):
+            self.shapes += [(units, before), (units,)]
         self.size = sum(math.prod(shape) for shape in self.shapes)
+        self.weights, self.biases = list[Singles](), list[Singles]()
+        self._weight_gradients, self._bias_gradients = list[Singles](), list[Singles]()
 
     def attach(self, parameters: Singles, gradient: Singles) -> None:
         """Makes the layers views of these vectors, each (size,)."""
-        self.w1, self.b1, self.w2, self.b2 = _views(parameters, self.shapes)
-        self._gw1, self._gb1, self._gw2, self._gb2 = _views(gradient, self.shapes)
+        ours, slopes = views(parameters, self.shapes), views(gradient, self.shapes)
+        self.weights, self.biases = ours[::2], ours[1::2]
+        self._weight_gradients, self._bias_gradients = slopes[::2], slopes[1::2]
 
     def initialise(self, generator: np.random.Generator) -> None:
         """Draws weights and biases as ``torch.nn.Linear`` does: uniform within 1 / sqrt(inputs of the layer)."""
-        for weight, bias in ((self.w1, self.b1), (self.w2, self.b2)):
+        for weight, bias in zip(self.weights, self.biases, strict=True):
             bound = 1.0 / math.sqrt(weight.shape[1])
             weight[...] = generator.uniform(-bound, bound, weight.shape)
             bias[...] = generator.uniform(-bound, bound, bias.shape)
 
-    def __call__(self, inputs: Singles) -> tuple[Singles, Singles]:
-        """The hidden layer, (n, hidden), and the output, (n, outputs), of inputs, (n, inputs)."""
-        hidden: Singles = inputs @ self.w1.T
-        hidden += self.b1
-        np.tanh(hidden, out=hidden)
-        output: Singles = hidden @ self.w2.T
-        output += self.b2
-        return hidden, output
+    def __call__(self, inputs: Singles) -> tuple[list[Singles], Singles]:
+        """What each layer was given, (n, units before), the inputs first, and the output, (n, outputs)."""
+        given, last = [inputs], len(self.weights) - 1
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            values: Singles = given[-1] @ weight.T
+            if layer == last:
+                values += bias
+                return given, values
+            add_bias_tanh(values, bias)
+            given.append(values)
+        raise AssertionError("A network has a layer.")
 
-    def differentiate(self, inputs: Singles, hidden: Singles, slope: Singles) -> Singles:
-        """Fills in the gradient for d loss / d output, (n, outputs); returns d loss / d hidden before its tanh."""
-        np.matmul(slope.T, hidden, out=self._gw2)
-        slope.sum(axis=0, out=self._gb2)
-        back: Singles = slope @ self.w2
-        back *= 1.0 - np.square(hidden)
-        np.matmul(back.T, inputs, out=self._gw1)
-        back.sum(axis=0, out=self._gb1)
-        return back
+    def differentiate(self, given: Sequence[Singles], slope: Singles) -> Singles:
+        """Fills in the gradient.
+
+        Args:
+            given: What each layer was given.
+            slope: d loss / d output, (n, outputs).
+
+        Returns:
+            d loss / d what the first layer makes, (n, its units), before its tanh.
+        """
+        slope.sum(axis=0, out=self._bias_gradients[-1])
+        for layer in range(len(given) - 1, 0, -1):
+            np.matmul(slope.T, given[layer], out=self._weight_gradients[layer])
+            slope = slope @ self.weights[layer]
+            to_before_tanh(slope, given[layer], self._bias_gradients[layer - 1])
+        np.matmul(slope.T, given[0], out=self._weight_gradients[0])
+        return slope
 
 
 def joined(networks: Sequence[Network], generator: np.random.Generator) -> Adam:
@@ -117,6 +143,7 @@ def joined(networks: Sequence[Network], generator: np.random.Generator) -> Adam:
     return adam
 
 
-def _views(flat: Singles, shapes: Sequence[tuple[int, ...]]) -> list[Singles]:
+def views(flat: Singles, shapes: Sequence[tuple[int, ...]]) -> list[Singles]:
+    """Arrays of these shapes, one after another in a flat vector."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
     return [part.reshape(shape) for part, shape in zip(np.split(flat, ends), shapes, strict=True)]

@@ -34,6 +34,13 @@ def observation_space(behavior: Behavior) -> spaces.Dict:
     return spaces.Dict(each)
 
 
+def sees_vectors_only(behavior: Behavior, goal_conditioning_type: ConditioningType) -> bool:
+    """Whether the encoder has nothing to learn: what agents observe is put into one row as it is."""
+    vectors = all(channel_axis(sensor) is None and not _is_buffer(sensor) for sensor in behavior.sensors)
+    has_goal = any(sensor.kind == GOAL_SIGNAL for sensor in behavior.sensors)
+    return vectors and not (has_goal and goal_conditioning_type == "hyper")
+
+
 class ObservationEncoder(BaseFeaturesExtractor):
     """Features of a dictionary of observations, for any policy of Stable-Baselines3.
 

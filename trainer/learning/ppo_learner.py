@@ -10,6 +10,7 @@ from torch import Tensor
 from corridor_server.protocol.agents import Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.learning.actor_critic import ActorCritic
+from trainer.learning.lean_actor_critic import LeanActorCritic, flat
 from trainer.learning.learner import LOSS_TAGS, Learner, part_of
 from trainer.learning.ppo_update import PPOUpdate, minibatches
 from trainer.learning.rewards import Signal
@@ -63,7 +64,9 @@ class PPOLearner(Learner):
             shared_critic=self._own.shared_critic,
         )
         self.policy.to(device)
-        self._ppo = PPOUpdate(self.policy, self._own)
+        fits = LeanActorCritic.fits(self.policy) and not any(True for _ in self.policy.encoder.parameters())
+        self._lean = LeanActorCritic(self.policy, behavior.discrete_branches) if fits else None
+        self._ppo = PPOUpdate(self.policy, self._own, self._lean)
         self._generator = np.random.default_rng(seed)
         # A terminated episode is worth nothing more to the environment's reward; of curiosity there is more to come.
         ends = [float(signal.module is not None) for signal in signals] if self._heads > 1 else [0.0]
@@ -115,6 +118,10 @@ class PPOLearner(Learner):
         return transitions >= min(self._own.buffer_size, self.settings.max_steps - self.learned)
 
     def _decide(self, observed: Observed, deterministic: bool) -> Decided:
+        if self._lean is not None:
+            rows = flat(observed.observations)
+            noise = None if deterministic else self._lean.noise(len(rows))
+            return Decided(*self._lean.act(rows, observed.allowed, noise), self._lean.values(rows))
         acted = self.policy.act(
             tensors(observed.observations, self._device), tensor(observed.allowed, self._device), deterministic
         )
@@ -129,6 +136,8 @@ class PPOLearner(Learner):
         self._over.extend(episode.number for episode in episodes)
 
     def _values(self, observations: tuple[Singles, ...]) -> Singles:
+        if self._lean is not None:
+            return self._lean.values(flat(observations))
         values: Singles = self.policy.values(tensors(observations, self._device)).cpu().numpy()
         return values
 

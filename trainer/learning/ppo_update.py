@@ -1,23 +1,25 @@
 """PPO's update (eq. 5) on transitions of trajectories of any length, for a policy with any number of value heads."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.utils import explained_variance
-from torch import Tensor
 
 from trainer.behavior_settings import PPOHyperparameters, Schedule
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.adam_state import adam_state, load_adam_state
 from trainer.learning.adam_steps import take_step
+from trainer.learning.lean_actor_critic import LeanActorCritic, flat, normalised, policy_loss
 from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Indices, Singles, Transitions
 
 LEAST_BETA, LEAST_EPSILON, LEAST_RATE = 1e-5, 0.1, 1e-10  # where ML-Agents' linear schedules end
 VALUE_WEIGHT = 0.5
+# Of a minibatch: policy loss, value loss, entropy, share of clipped ratios, approximate KL divergence.
+_Measures = tuple[float, float, float, float, float]
 
 
 class PPOUpdate:
@@ -30,10 +32,11 @@ class PPOUpdate:
     Args:
         policy: Which.
         settings: Of the update.
+        lean: The policy in NumPy, if it has such a form: then it does the work.
     """
 
-    def __init__(self, policy: ActorCritic, settings: PPOHyperparameters) -> None:
-        self._policy, self._settings = policy, settings
+    def __init__(self, policy: ActorCritic, settings: PPOHyperparameters, lean: LeanActorCritic | None = None) -> None:
+        self._policy, self._settings, self._lean = policy, settings, lean
         self._optimizer = torch.optim.Adam(policy.parameters(), lr=settings.learning_rate, eps=1e-5, fused=True)
 
     def update(
@@ -58,26 +61,14 @@ class PPOUpdate:
         epsilon = scheduled(own.epsilon, LEAST_EPSILON, own.epsilon_schedule, progress)
         beta = scheduled(own.beta, LEAST_BETA, own.beta_schedule, progress)
         self._optimizer.param_groups[0]["lr"] = rate
-        observed, decided = transitions.observed, transitions.decided
-        device = self._policy.log_std.device
-        observations, allowed = tensors(observed.observations, device), tensor(observed.allowed, device)
-        continuous, discrete, old_log_probs, _ = tensors(decided, device)
-        advantage, target = tensors((advantages, returns), device)
-        measures = []
-        for _ in range(own.num_epoch):
-            for indices in minibatches(len(transitions), own.batch_size, generator):
-                rows = torch.from_numpy(indices).to(device)
-                values, log_probs, entropy = self._policy.evaluate(
-                    tuple(each[rows] for each in observations),
-                    None if allowed is None else allowed[rows],
-                    continuous[rows],
-                    discrete[rows],
-                )
-                measures.append(
-                    self._descend(
-                        values, log_probs, entropy, old_log_probs[rows], advantage[rows], target[rows], epsilon, beta
-                    )
-                )
+        descend = self._descend_with_torch if self._lean is None else self._descend_lean
+        batches = (
+            indices
+            for _ in range(own.num_epoch)
+            for indices in minibatches(len(transitions), own.batch_size, generator)
+        )
+        decided = transitions.decided
+        measures = list(descend(batches, transitions, advantages, returns, epsilon, beta))
         policy_loss, value_loss, mean_entropy, clipped, divergence = np.mean(measures, axis=0).tolist()
         return {
             "train/policy_gradient_loss": policy_loss,
@@ -108,34 +99,73 @@ class PPOUpdate:
         """
         load_adam_state(self._optimizer, state)
 
-    def _descend(
+    def _descend_with_torch(
         self,
-        values: Tensor,
-        log_probs: Tensor,
-        entropy: Tensor,
-        old_log_probs: Tensor,
-        advantage: Tensor,
-        target: Tensor,
+        batches: Iterable[Indices],
+        transitions: Transitions,
+        advantages: Singles,
+        returns: Singles,
         epsilon: float,
         beta: float,
-    ) -> tuple[float, float, float, float, float]:
-        """One gradient step; policy loss, value loss, entropy, share of clipped ratios, approximate KL divergence."""
-        if len(advantage) > 1:
-            advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        log_ratio = log_probs - old_log_probs
-        ratio = log_ratio.exp()
-        policy_loss = -torch.minimum(advantage * ratio, advantage * ratio.clamp(1 - epsilon, 1 + epsilon)).mean()
-        value_loss = (target - values).square().mean()
-        mean_entropy = entropy.mean()
-        loss = policy_loss + VALUE_WEIGHT * value_loss - beta * mean_entropy
-        self._optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        take_step(self._optimizer)
-        with torch.no_grad():
-            clipped = ((ratio - 1).abs() > epsilon).float().mean()
-            divergence = (ratio - 1 - log_ratio).mean()
-            found = torch.stack([policy_loss, value_loss, mean_entropy, clipped, divergence]).tolist()
-        return found[0], found[1], found[2], found[3], found[4]
+    ) -> Iterator[_Measures]:
+        """A gradient step for each minibatch."""
+        observed, decided = transitions.observed, transitions.decided
+        device = self._policy.log_std.device
+        observations, allowed = tensors(observed.observations, device), tensor(observed.allowed, device)
+        continuous, discrete, old_log_probs, _ = tensors(decided, device)
+        advantage, target = tensors((advantages, returns), device)
+        for indices in batches:
+            rows = torch.from_numpy(indices).to(device)
+            values, log_probs, entropy = self._policy.evaluate(
+                tuple(each[rows] for each in observations),
+                None if allowed is None else allowed[rows],
+                continuous[rows],
+                discrete[rows],
+            )
+            own_advantage = advantage[rows]
+            if len(rows) > 1:
+                own_advantage = (own_advantage - own_advantage.mean()) / (own_advantage.std() + 1e-8)
+            log_ratio = log_probs - old_log_probs[rows]
+            ratio = log_ratio.exp()
+            limited = ratio.clamp(1 - epsilon, 1 + epsilon)
+            policy_loss = -torch.minimum(own_advantage * ratio, own_advantage * limited).mean()
+            value_loss = (target[rows] - values).square().mean()
+            mean_entropy = entropy.mean()
+            loss = policy_loss + VALUE_WEIGHT * value_loss - beta * mean_entropy
+            self._optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            take_step(self._optimizer)
+            with torch.no_grad():
+                clipped = ((ratio - 1).abs() > epsilon).float().mean()
+                divergence = (ratio - 1 - log_ratio).mean()
+                found = torch.stack([policy_loss, value_loss, mean_entropy, clipped, divergence]).tolist()
+            yield found[0], found[1], found[2], found[3], found[4]
+
+    def _descend_lean(
+        self,
+        batches: Iterable[Indices],
+        transitions: Transitions,
+        advantages: Singles,
+        returns: Singles,
+        epsilon: float,
+        beta: float,
+    ) -> Iterator[_Measures]:
+        """The same without torch."""
+        assert self._lean is not None
+        lean, decided, allowed = self._lean, transitions.decided, transitions.observed.allowed
+        observations = flat(transitions.observed.observations)
+        for rows in batches:
+            seen, discrete = observations[rows], decided.discrete[rows]
+            judged = lean.judge(seen, None if allowed is None else allowed[rows], decided.continuous[rows], discrete)
+            log_ratio = judged.log_probs - decided.log_probs[rows]
+            slope, (loss, clipped, divergence) = policy_loss(log_ratio, normalised(advantages[rows]), epsilon)
+            lean.differentiate_actor(judged, discrete, slope, -beta)
+            given, values = lean.critic(seen)
+            error = values - returns[rows]
+            lean.critic.differentiate(given, error * np.float32(2.0 * VALUE_WEIGHT / error.size))
+            lean.adam.step(self._optimizer)
+            value_loss = float(np.vdot(error, error)) / error.size
+            yield loss, value_loss, float(judged.entropies.mean()), clipped, divergence
 
 
 def scheduled(at_first: float, at_last: float, schedule: Schedule, progress: float) -> float:

@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior
-from trainer.behavior_settings import BehaviorSettings
+from trainer.behavior_settings import BehaviorSettings, NetworkSettings
+from trainer.learning.lean_reward_signals import LeanCuriosity, LeanRND
+from trainer.learning.observation_encoder import sees_vectors_only
 from trainer.learning.reward_signals import CuriosityModule, RNDModule
 from trainer.learning.tensors import CPU
 from trainer.learning.transitions import Singles
@@ -71,11 +73,15 @@ def build_signals(
         device: Where they compute.
     """
     asked, found = settings.reward_signals, list[Signal]()
+
+    def is_lean(network: NetworkSettings) -> bool:
+        return device.type == "cpu" and sees_vectors_only(behavior, network.goal_conditioning_type)
+
     if asked.extrinsic is not None:
         found.append(Signal("extrinsic", asked.extrinsic.strength, asked.extrinsic.gamma))
     if asked.curiosity is not None:
         signal, network = asked.curiosity, asked.curiosity.network_settings
-        curiosity = CuriosityModule(
+        curiosity = (LeanCuriosity if is_lean(network) else CuriosityModule)(
             behavior,
             strength=signal.strength,
             learning_rate=signal.learning_rate,
@@ -89,7 +95,7 @@ def build_signals(
         found.append(Signal("curiosity", signal.strength, signal.gamma, curiosity))
     if asked.rnd is not None:
         own, network = asked.rnd, asked.rnd.network_settings
-        novelty = RNDModule(
+        novelty = (LeanRND if is_lean(network) else RNDModule)(
             behavior,
             learning_rate=own.learning_rate,
             hidden_units=network.hidden_units,

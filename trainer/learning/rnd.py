@@ -6,7 +6,8 @@ import numpy as np
 from gymnasium import spaces
 
 from trainer.config import CuriosityConfig
-from trainer.learning.networks import Network, Singles, joined
+from trainer.learning.kernels import Singles
+from trainer.learning.networks import Network, joined
 
 
 class RandomNetworkDistillation:
@@ -43,10 +44,10 @@ class RandomNetworkDistillation:
 
     def learn(self, observations: Singles, actions: Singles, next_observations: Singles) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``rnd_loss``."""
-        hidden, error = self.predictor(next_observations)
+        given, error = self.predictor(next_observations)
         error -= self.target(next_observations)[1]
         loss = 0.5 * float(np.vdot(error, error)) / len(error)
         error /= np.float32(len(error))
-        self.predictor.differentiate(next_observations, hidden, error)
+        self.predictor.differentiate(given, error)
         self.adam.descend(self._rate)
         return {"rnd_loss": loss}

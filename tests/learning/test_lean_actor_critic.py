@@ -1,0 +1,148 @@
+"""The policy without autograd acts, judges and learns as the one in torch, to rounding, for every kind of action."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+
+from corridor_server.protocol.agents import Behavior, Sensor
+from trainer.behavior_settings import PPOHyperparameters
+from trainer.learning import kernels
+from trainer.learning.actor_critic import ActorCritic
+from trainer.learning.lean_actor_critic import LeanActorCritic, flat
+from trainer.learning.ppo_update import PPOUpdate
+from trainer.learning.tensors import tensor, tensors
+from trainer.learning.transitions import Decided, Observed, Transitions
+
+SENSORS = (Sensor.of("vector", (5,)), Sensor("table", (2, 3), (1, 1)))
+ACTIONS = {"continuous": (2, ()), "discrete": (0, (3,)), "branched": (0, (3, 2, 4)), "hybrid": (2, (3, 2))}
+ROWS = 60
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def built(kind: str, **options) -> ActorCritic:
+    """With outputs that differ from agent to agent more than at the beginning."""
+    torch.manual_seed(3)
+    policy = ActorCritic(Behavior("any", SENSORS, *ACTIONS[kind]), hidden_units=16, **options)
+    with torch.no_grad():
+        policy.action_net.weight.mul_(300.0)
+        policy.log_std.uniform_(-1.0, 0.5)
+    return policy
+
+
+def observed(kind: str, masked: bool) -> Observed:
+    rng = np.random.default_rng(0)
+    observations = tuple(rng.normal(size=(ROWS, *sensor.shape)).astype(np.float32) for sensor in SENSORS)
+    branches = ACTIONS[kind][1]
+    if not masked or not branches:
+        return Observed(observations)
+    allowed = [rng.random((ROWS, size)) < 0.5 for size in branches]
+    for each in allowed:
+        each[np.arange(ROWS), rng.integers(each.shape[1], size=ROWS)] = True
+    return Observed(observations, np.concatenate(allowed, axis=1))
+
+
+def decided(policy: ActorCritic, seen: Observed, deterministic: bool = False) -> Decided:
+    torch.manual_seed(5)
+    acted = policy.act(tensors(seen.observations), tensor(seen.allowed), deterministic)
+    return Decided(*(part.numpy() for part in acted))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("kind", ACTIONS)
+@pytest.mark.parametrize("deterministic", [False, True])
+def test_from_the_same_noise_it_takes_the_same_actions(kind, masked, deterministic):
+    policy, seen = built(kind), observed(kind, masked)
+    expected = decided(policy, seen, deterministic)
+    lean = LeanActorCritic(policy, ACTIONS[kind][1])
+    torch.manual_seed(5)
+    rows = flat(seen.observations)
+    acted = lean.act(rows, seen.allowed, None if deterministic else lean.noise(ROWS))
+    found = Decided(*acted, lean.values(rows))
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours.dtype == theirs.dtype
+        assert ours == pytest.approx(theirs, abs=1e-5)
+
+
+@pytest.mark.parametrize("heads", [1, 2])
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("kind", ACTIONS)
+def test_updates_are_those_of_torch_parameter_by_parameter(kind, masked, heads):
+    theirs, seen = built(kind, value_heads=heads, num_layers=3), observed(kind, masked)
+    ours = copy.deepcopy(theirs)
+    taken, rng = decided(theirs, seen), np.random.default_rng(1)
+    advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, heads)))
+    nothing = np.zeros(ROWS, np.int64)
+    transitions = Transitions(seen, taken, (), advantage, returns, nothing, nothing, nothing.astype(bool))
+    settings = PPOHyperparameters(batch_size=20, learning_rate=3e-3, beta=0.02, epsilon=0.1)
+    updates = (
+        PPOUpdate(theirs, settings),
+        PPOUpdate(ours, settings, LeanActorCritic(ours, ACTIONS[kind][1])),
+    )
+    before = theirs.state_dict()["action_net.weight"].clone()
+    for progress in (0.0, 0.5):
+        expected, found = (
+            each.update(transitions, advantage, returns, progress, np.random.default_rng(2)) for each in updates
+        )
+        assert found == pytest.approx(expected, rel=1e-3, abs=1e-5)
+        assert expected["train/clip_fraction"] > 0.0
+    assert not torch.equal(theirs.state_dict()["action_net.weight"], before)
+    for name, value in theirs.state_dict().items():
+        torch.testing.assert_close(ours.state_dict()[name], value, atol=2e-5, rtol=1e-3)
+    saved, expected = (each.state_dict() for each in reversed(updates))
+    assert saved.keys() == expected.keys()
+    for name, array in expected.items():
+        assert saved[name] == pytest.approx(array, abs=1e-4, rel=1e-2), name
+
+
+def test_what_was_saved_of_one_goes_on_in_the_other():
+    policy, seen = built("hybrid"), observed("hybrid", True)
+    taken, rng = decided(policy, seen), np.random.default_rng(1)
+    advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, 1)))
+    nothing = np.zeros(ROWS, np.int64)
+    transitions = Transitions(seen, taken, (), advantage, returns, nothing, nothing, nothing.astype(bool))
+    settings = PPOHyperparameters(batch_size=20)
+    first = PPOUpdate(policy, settings, LeanActorCritic(policy, (3, 2)))
+    first.update(transitions, advantage, returns, 0.0, np.random.default_rng(2))
+    weights, state = copy.deepcopy(policy.state_dict()), copy.deepcopy(first.state_dict())
+    results = []
+    for lean in (False, True):
+        other = built("hybrid")
+        other.load_state_dict(weights)
+        update = PPOUpdate(other, settings, LeanActorCritic(other, (3, 2)) if lean else None)
+        update.load_state_dict(state)
+        update.update(transitions, advantage, returns, 0.0, np.random.default_rng(3))
+        results.append(other.state_dict())
+    for name, value in results[0].items():
+        assert not torch.equal(value, weights[name]), name
+        torch.testing.assert_close(results[1][name], value, atol=1e-5, rtol=1e-3)
+
+
+def test_what_has_more_than_dense_layers_stays_in_torch():
+    assert LeanActorCritic.fits(built("hybrid"))
+    assert not LeanActorCritic.fits(built("hybrid", shared_critic=True))
+    picture = Behavior("any", (Sensor.of("camera", (20, 20, 3)),), 2)
+    assert not LeanActorCritic.fits(ActorCritic(picture, hidden_units=16))
+
+
+class TestKernels:
+    def test_tanh_is_tanh_to_rounding(self):
+        values = np.linspace(-12.0, 12.0, 200_001, dtype=np.float32)[None]
+        found = values.copy()
+        kernels.add_bias_tanh(found, np.zeros(values.shape[1], np.float32))
+        assert found == pytest.approx(np.tanh(values.astype(np.float64)), abs=5e-7)
+        assert (np.abs(found) <= 1.0).all()
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf])
+    def test_bad_numbers_stay_what_they_are(self, bad):
+        values = np.full((3, 16), bad, np.float32)
+        kernels.add_bias_tanh(values, np.zeros(16, np.float32))
+        assert (np.isnan(values) if np.isnan(bad) else values > 0.999).all()
+        slope = np.full((3, 16), bad, np.float32)
+        kernels.to_before_tanh(slope, np.zeros((3, 16), np.float32), np.empty(16, np.float32))
+        assert not np.isfinite(slope).any()
