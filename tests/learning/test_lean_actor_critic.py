@@ -11,7 +11,7 @@ from trainer.behavior_settings import PPOHyperparameters
 from trainer.learning import kernels
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.lean_actor_critic import LeanActorCritic, flat
-from trainer.learning.ppo_update import PPOUpdate
+from trainer.learning.ppo_update import PPOUpdate, minibatches
 from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Decided, Observed, Transitions
 
@@ -53,6 +53,11 @@ def decided(policy: ActorCritic, seen: Observed, deterministic: bool = False) ->
     return Decided(*(part.numpy() for part in acted))
 
 
+def batches(seed: int) -> list[np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return [each for _ in range(3) for each in minibatches(ROWS, 20, generator)]
+
+
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("kind", ACTIONS)
 @pytest.mark.parametrize("deterministic", [False, True])
@@ -86,9 +91,7 @@ def test_updates_are_those_of_torch_parameter_by_parameter(kind, masked, heads):
     )
     before = theirs.state_dict()["action_net.weight"].clone()
     for progress in (0.0, 0.5):
-        expected, found = (
-            each.update(transitions, advantage, returns, progress, np.random.default_rng(2)) for each in updates
-        )
+        expected, found = (each.update(transitions, advantage, returns, progress, batches(2)) for each in updates)
         assert found == pytest.approx(expected, rel=1e-3, abs=1e-5)
         assert expected["train/clip_fraction"] > 0.0
     assert not torch.equal(theirs.state_dict()["action_net.weight"], before)
@@ -108,7 +111,7 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
     transitions = Transitions(seen, taken, (), advantage, returns, nothing, nothing, nothing.astype(bool))
     settings = PPOHyperparameters(batch_size=20)
     first = PPOUpdate(policy, settings, LeanActorCritic(policy, (3, 2)))
-    first.update(transitions, advantage, returns, 0.0, np.random.default_rng(2))
+    first.update(transitions, advantage, returns, 0.0, batches(2))
     weights, state = copy.deepcopy(policy.state_dict()), copy.deepcopy(first.state_dict())
     results = []
     for lean in (False, True):
@@ -116,7 +119,7 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
         other.load_state_dict(weights)
         update = PPOUpdate(other, settings, LeanActorCritic(other, (3, 2)) if lean else None)
         update.load_state_dict(state)
-        update.update(transitions, advantage, returns, 0.0, np.random.default_rng(3))
+        update.update(transitions, advantage, returns, 0.0, batches(3))
         results.append(other.state_dict())
     for name, value in results[0].items():
         assert not torch.equal(value, weights[name]), name

@@ -31,7 +31,11 @@ _Q1, _Q2, _Q3, _Q4 = (np.float32(each) for each in (4.67778173e-01, 2.61644069e-
 
 def _compiled(kernel: _Kernel) -> _Kernel:
     # Sums may be reordered; NaN and infinities keep their meaning, or nobody would notice them.
-    options: dict[str, Any] = {"fastmath": {"contract", "reassoc", "arcp", "nsz"}, "error_model": "numpy"}
+    options: dict[str, Any] = {
+        "fastmath": {"contract", "reassoc", "arcp", "nsz"},
+        "error_model": "numpy",
+        "nogil": True,
+    }
     try:
         compiled: _Kernel = numba.njit(cache=True, **options)(kernel)
     except RuntimeError:  # there is no folder to keep it in

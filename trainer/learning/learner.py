@@ -1,13 +1,14 @@
 """What learners of one behavior have in common, whatever their algorithm: agents come, go and ask when they like.
 
-The path of a step: ``take`` closes what agents' last actions led to, ``learn`` learns from it once there is enough, and
-``act`` decides for all agents that asked.
+The path of a step: ``take`` closes what agents' last actions led to, ``learn`` learns from it once there is enough,
+``act`` decides for all agents that asked, and ``remember`` begins the transitions of what they do, for which no player
+has to wait.
 """
 
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,22 @@ class _Waiting(NamedTuple):
     behavior: str
     observed: Observed
     asking: Asking | None  # None for agents that are not learned from any more
+
+
+class Chosen(NamedTuple):
+    """Actions of n agents.
+
+    Attributes:
+        continuous: (n, size) float32, before clipping.
+        discrete: (n, branches) int64.
+        log_probs: (n,) float32.
+        values: (n, heads) float32, where they were made with the actions.
+    """
+
+    continuous: Singles
+    discrete: NDArray[np.int64]
+    log_probs: Singles
+    values: Singles | None = None
 
 
 class Learner(ABC):
@@ -80,6 +97,7 @@ class Learner(ABC):
         self.ended_returns: list[float] = []
         self._signals, self._device = signals, device
         self._waiting: list[_Waiting] = []
+        self._acting: tuple[list[_Waiting], Observed, Chosen] | None = None  # what is still to be remembered
         self._plays = False
 
     @property
@@ -115,7 +133,8 @@ class Learner(ABC):
     @property
     def is_nearly_full(self) -> bool:
         """Whether the next messages may bring enough for an update."""
-        return not self.is_done and self._is_enough(len(self.experience))
+        acting = 0 if self._acting is None else len(self._acting[1])
+        return not self.is_done and self._is_enough(len(self.experience) + acting)
 
     def play(self) -> None:
         """From here on it only acts, and takes the most likely actions: what an evaluation does."""
@@ -123,6 +142,7 @@ class Learner(ABC):
 
     def begin_anew(self, player: int) -> None:
         """Forgets a player's running episodes, and who waits for an action in them."""
+        self.remember()
         self.experience.begin_anew(player)
         self._waiting = [each for each in self._waiting if each.player != player]
 
@@ -138,6 +158,7 @@ class Learner(ABC):
             asking: Agents that ask for a decision.
             again: Whether their request was taken before: of a run that goes on where it was saved.
         """
+        self.remember()
         if self.is_done or self._plays:
             if asking is not None:
                 self._waiting.append(_Waiting(player, behavior, self._observed(asking), None))
@@ -155,25 +176,41 @@ class Learner(ABC):
         """Decides for every agent that asked: for each player and behavior, in the order in which they asked.
 
         Raises:
-            TrainerError: An action or a value is NaN or infinite.
+            TrainerError: An action is NaN or infinite.
         """
+        self.remember()
         waiting, self._waiting = self._waiting, []
         if not waiting:
             return {}
         deterministic = self._plays or self.settings.network_settings.deterministic
-        decided = self._decide(joined([each.observed for each in waiting]), deterministic)
-        self._check_finite(decided)
-        actions, start = {}, 0
-        for player, behavior, own, asking in waiting:
-            part = slice(start, start + len(own))
-            start = part.stop
-            chosen = decided.rows(part)
-            if asking is not None:
-                self.experience.estimate(asking.transitions, chosen.values)
-                self.experience.act(asking, chosen)
-            clipped = np.clip(chosen.continuous, -1.0, 1.0)
-            actions[player, behavior] = ActionBatch(clipped, chosen.discrete.astype(np.int32))
-        return actions
+        observed = joined([each.observed for each in waiting])
+        chosen = self._decide(observed, deterministic)
+        self._check_finite(chosen.continuous)
+        self._acting = waiting, observed, chosen
+        clipped, discrete = np.clip(chosen.continuous, -1.0, 1.0), chosen.discrete.astype(np.int32)
+        return {
+            (each.player, each.behavior): ActionBatch(clipped[part], discrete[part]) for each, part in _parts(waiting)
+        }
+
+    def remember(self) -> None:
+        """Begins the transitions of what ``act`` decided; once.
+
+        Raises:
+            TrainerError: A value is NaN or infinite.
+        """
+        if self._acting is None:
+            return
+        (waiting, observed, chosen), self._acting = self._acting, None
+        if all(each.asking is None for each in waiting):
+            return
+        values = self._values_of(observed, chosen)
+        self._check_finite(values)
+        decided = Decided(chosen.continuous, chosen.discrete, chosen.log_probs, values)
+        for each, part in _parts(waiting):
+            if each.asking is not None:
+                own = decided.rows(part)
+                self.experience.estimate(each.asking.transitions, own.values)
+                self.experience.act(each.asking, own)
 
     @abstractmethod
     def learn(self) -> None:
@@ -185,6 +222,7 @@ class Learner(ABC):
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, between two messages: arrays and plain values, by ``<part>/<name>``."""
+        self.remember()
         parts: dict[str, Mapping[str, Any]] = {
             "policy": self.weights(),
             "observations": self.observations.state_dict(),
@@ -233,8 +271,12 @@ class Learner(ABC):
         """Whether so many transitions, which ``learn`` has not taken yet, are enough for it."""
 
     @abstractmethod
-    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
+    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
         """What agents that observe this shall do."""
+
+    @abstractmethod
+    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
+        """What agents that observed this, and do that, are to expect, (n, heads)."""
 
     def _observed(self, agents: Agents) -> Observed:
         """What agents observe, as it is remembered."""
@@ -268,8 +310,8 @@ class Learner(ABC):
             self.recent["returns"].append(episode.total)
             self.recent["lengths"].append(episode.length)
 
-    def _check_finite(self, decided: Decided) -> None:
-        if not (np.isfinite(decided.continuous).all() and np.isfinite(decided.values).all()):
+    def _check_finite(self, numbers: Singles) -> None:
+        if not np.isfinite(numbers).all():
             raise self._diverged()
 
     def _diverged(self) -> TrainerError:
@@ -277,6 +319,15 @@ class Learner(ABC):
             f"The policy of {self.behavior.name} gave numbers that are not finite; the run has diverged: try a "
             "smaller learning rate."
         )
+
+
+def _parts(waiting: list[_Waiting]) -> Iterator[tuple[_Waiting, slice]]:
+    """Who waits, with their rows among all."""
+    start = 0
+    for each in waiting:
+        part = slice(start, start + len(each.observed))
+        yield each, part
+        start = part.stop
 
 
 def part_of(state: Mapping[str, Any], part: str) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """PPO for one behavior of any kind, with a value head for each reward if so wished."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,12 +13,11 @@ from corridor_server.protocol.agents import Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.lean_actor_critic import LeanActorCritic, flat
-from trainer.learning.learner import LOSS_TAGS, Learner, part_of
+from trainer.learning.learner import LOSS_TAGS, Chosen, Learner, part_of
 from trainer.learning.ppo_update import PPOUpdate, minibatches
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensor, tensors
 from trainer.learning.transitions import (
-    Decided,
     EndedEpisode,
     Indices,
     Observed,
@@ -84,11 +85,15 @@ class PPOLearner(Learner):
         transitions = self._take_closed()
         rewards = self._rewards(transitions)
         advantage, returns = self._targets(transitions, rewards)
-        self.metrics |= self._ppo.update(transitions, advantage, returns, progress, self._generator)
+        batches = [each for _ in range(self._own.num_epoch) for each in self._minibatches(transitions)]
+        # The intrinsic rewards' networks have nothing to do with the policy's: each has a core, where there are two.
+        orders = [self._minibatches(transitions) for signal in self._signals if signal.module is not None]
+        learning = _beside().submit(self._learn_signals, transitions, orders)
+        self.metrics |= self._ppo.update(transitions, advantage, returns, progress, batches)
         for head, signal in enumerate(self._signals[: self._heads]):
             estimate = float(transitions.decided.values[:, head].mean())
             self.metrics[f"Policy/{signal.name.capitalize()} Value Estimate"] = estimate
-        self._learn_signals(transitions)
+        self.metrics |= learning.result()
         self.updates += 1
 
     def state_dict(self) -> dict[str, Any]:
@@ -117,15 +122,19 @@ class PPOLearner(Learner):
     def _is_enough(self, transitions: int) -> bool:
         return transitions >= min(self._own.buffer_size, self.settings.max_steps - self.learned)
 
-    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
+    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
         if self._lean is not None:
             rows = flat(observed.observations)
-            noise = None if deterministic else self._lean.noise(len(rows))
-            return Decided(*self._lean.act(rows, observed.allowed, noise), self._lean.values(rows))
+            return Chosen(
+                *self._lean.act(rows, observed.allowed, None if deterministic else self._lean.noise(len(rows)))
+            )
         acted = self.policy.act(
             tensors(observed.observations, self._device), tensor(observed.allowed, self._device), deterministic
         )
-        return Decided(*(part.cpu().numpy() for part in acted))
+        return Chosen(*(part.cpu().numpy() for part in acted))
+
+    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
+        return self._values(observed.observations) if chosen.values is None else chosen.values
 
     def _ended(
         self, transitions: Indices, observations: tuple[Singles, ...], ended: Agents, episodes: list[EndedEpisode]
@@ -172,18 +181,29 @@ class PPOLearner(Learner):
         stacked = np.stack(each, axis=1)
         return stacked.mean(axis=1), stacked + transitions.decided.values
 
-    def _learn_signals(self, transitions: Transitions) -> None:
+    def _minibatches(self, transitions: Transitions) -> list[Indices]:
+        return list(minibatches(len(transitions), self._own.batch_size, self._generator))
+
+    def _learn_signals(self, transitions: Transitions, batches: list[list[Indices]]) -> dict[str, float]:
+        """Has each signal that learns go through its minibatches; what there is to log."""
         seen, continuous, discrete, then = _columns(transitions, self._device)
-        for signal in self._signals:
-            if signal.module is None:
-                continue
+        modules = [signal.module for signal in self._signals if signal.module is not None]
+        metrics = {}
+        for module, own in zip(modules, batches, strict=True):
             losses = []
-            for indices in minibatches(len(transitions), self._own.batch_size, self._generator):
+            for indices in own:
                 rows = torch.from_numpy(indices).to(self._device)
                 before, after = ([each[rows] for each in part] for part in (seen, then))
-                losses.append(signal.module.learn(before, continuous[rows], discrete[rows], after))
+                losses.append(module.learn(before, continuous[rows], discrete[rows], after))
             for name in losses[0]:
-                self.metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
+                metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
+        return metrics
+
+
+@cache
+def _beside() -> ThreadPoolExecutor:
+    """A second thread."""
+    return ThreadPoolExecutor(1, "learning")
 
 
 def _columns(transitions: Transitions, device: torch.device) -> _Columns:

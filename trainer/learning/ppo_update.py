@@ -45,7 +45,7 @@ class PPOUpdate:
         advantages: Singles,
         returns: Singles,
         progress: float,
-        generator: np.random.Generator,
+        batches: Iterable[Indices],
     ) -> dict[str, float]:
         """Makes one update; returns what there is to log, by the tags of Stable-Baselines3 and ML-Agents.
 
@@ -54,7 +54,7 @@ class PPOUpdate:
             advantages: Of each, (n,).
             returns: What each value head should have said, (n, heads).
             progress: The share of the run that is behind, 0 to 1.
-            generator: Draws the minibatches.
+            batches: Which of them to learn from, one after another.
         """
         own = self._settings
         rate = scheduled(own.learning_rate, LEAST_RATE, own.learning_rate_schedule, progress)
@@ -62,11 +62,6 @@ class PPOUpdate:
         beta = scheduled(own.beta, LEAST_BETA, own.beta_schedule, progress)
         self._optimizer.param_groups[0]["lr"] = rate
         descend = self._descend_with_torch if self._lean is None else self._descend_lean
-        batches = (
-            indices
-            for _ in range(own.num_epoch)
-            for indices in minibatches(len(transitions), own.batch_size, generator)
-        )
         decided = transitions.decided
         measures = list(descend(batches, transitions, advantages, returns, epsilon, beta))
         policy_loss, value_loss, mean_entropy, clipped, divergence = np.mean(measures, axis=0).tolist()

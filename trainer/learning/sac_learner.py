@@ -15,13 +15,13 @@ from corridor_server.protocol.agents import Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, SACHyperparameters
 from trainer.errors import TrainerError
 from trainer.learning.adam_state import adam_state, load_adam_state
-from trainer.learning.learner import LOSS_TAGS, Learner, part_of
+from trainer.learning.learner import LOSS_TAGS, Chosen, Learner, part_of
 from trainer.learning.observation_encoder import ObservationEncoder, observation_space
 from trainer.learning.ppo_update import LEAST_RATE, scheduled
 from trainer.learning.replay_memory import ReplayMemory
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensors
-from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Singles
+from trainer.learning.transitions import EndedEpisode, Indices, Observed, Singles
 
 
 class SACLearner(Learner):
@@ -172,14 +172,16 @@ class SACLearner(Learner):
         )
 
     @torch.no_grad()
-    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
+    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
         scaled = tensors(self.observations.scaled(observed.observations), self._device)
         named = {f"obs_{number}": each for number, each in enumerate(scaled)}
         with self._finite():
             actions = self._sac.actor(named, deterministic).cpu().numpy()
         count = len(actions)
-        nothing = np.zeros((count, 0), np.float32)
-        return Decided(actions, np.zeros((count, 0), np.int64), np.zeros(count, np.float32), nothing)
+        return Chosen(actions, np.zeros((count, 0), np.int64), np.zeros(count, np.float32))
+
+    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
+        return np.zeros((len(chosen.continuous), 0), np.float32)
 
     @contextmanager
     def _finite(self) -> Iterator[None]:

@@ -80,6 +80,11 @@ class BehaviorLearners:
                 learner = self._of(self._scene.behaviors[name])
                 learner.take(player, name, message.ended.get(name), message.asking.get(name), again)
 
+    def remember(self) -> None:
+        """Has every learner begin the transitions of what ``act`` decided."""
+        for learner in self._learners.values():
+            learner.remember()
+
     def learn(self) -> bool:
         """Has every learner that has enough make an update; returns whether one had."""
         full = [learner for learner in self._learners.values() if learner.is_full]

@@ -108,6 +108,7 @@ class SceneTraining:
                     if learners.may_be_full:
                         scene.ask_states()
                     scene.send(actions)
+                    learners.remember()  # while the players go on
                     self._messages = scene.receive()
                     learners.take(self._messages)
             finally:
