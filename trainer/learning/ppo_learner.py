@@ -1,8 +1,6 @@
 """PPO for one behavior of any kind, with a value head for each reward if so wished."""
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -86,14 +84,11 @@ class PPOLearner(Learner):
         rewards = self._rewards(transitions)
         advantage, returns = self._targets(transitions, rewards)
         batches = [each for _ in range(self._own.num_epoch) for each in self._minibatches(transitions)]
-        # The intrinsic rewards' networks have nothing to do with the policy's: each has a core, where there are two.
-        orders = [self._minibatches(transitions) for signal in self._signals if signal.module is not None]
-        learning = _beside().submit(self._learn_signals, transitions, orders)
         self.metrics |= self._ppo.update(transitions, advantage, returns, progress, batches)
         for head, signal in enumerate(self._signals[: self._heads]):
             estimate = float(transitions.decided.values[:, head].mean())
             self.metrics[f"Policy/{signal.name.capitalize()} Value Estimate"] = estimate
-        self.metrics |= learning.result()
+        self.metrics |= self._learn_signals(transitions)
         self.updates += 1
 
     def state_dict(self) -> dict[str, Any]:
@@ -184,26 +179,21 @@ class PPOLearner(Learner):
     def _minibatches(self, transitions: Transitions) -> list[Indices]:
         return list(minibatches(len(transitions), self._own.batch_size, self._generator))
 
-    def _learn_signals(self, transitions: Transitions, batches: list[list[Indices]]) -> dict[str, float]:
-        """Has each signal that learns go through its minibatches; what there is to log."""
+    def _learn_signals(self, transitions: Transitions) -> dict[str, float]:
+        """Has each signal that learns go through the transitions once; what there is to log."""
         seen, continuous, discrete, then = _columns(transitions, self._device)
-        modules = [signal.module for signal in self._signals if signal.module is not None]
         metrics = {}
-        for module, own in zip(modules, batches, strict=True):
+        for signal in self._signals:
+            if signal.module is None:
+                continue
             losses = []
-            for indices in own:
+            for indices in self._minibatches(transitions):
                 rows = torch.from_numpy(indices).to(self._device)
                 before, after = ([each[rows] for each in part] for part in (seen, then))
-                losses.append(module.learn(before, continuous[rows], discrete[rows], after))
+                losses.append(signal.module.learn(before, continuous[rows], discrete[rows], after))
             for name in losses[0]:
                 metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
         return metrics
-
-
-@cache
-def _beside() -> ThreadPoolExecutor:
-    """A second thread."""
-    return ThreadPoolExecutor(1, "learning")
 
 
 def _columns(transitions: Transitions, device: torch.device) -> _Columns:
