@@ -39,9 +39,9 @@ class AgentWriter:
         if not len(agents):
             return b""
         index = self._indices(agents)
-        raw = self._constants[index]
+        raw = self._constants.take(index, axis=0)  # several times as fast as indexing
         self._fill(raw.reshape(-1).view(self._whole.dtype), agents)
-        return raw[self._present[index]].tobytes()
+        return raw[self._present.take(index, axis=0)].tobytes()
 
     def _indices(self, agents: Agents) -> NDArray[np.intp]:
         """Of the agents' layouts."""

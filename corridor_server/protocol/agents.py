@@ -170,10 +170,11 @@ class Agents:
         if ended == (len(self) if done else 0):
             return self
         if not ended or self.done[:ended].all():
-            return self._rows(slice(0, ended) if done else slice(ended, None))
-        return self._rows((self.done == done).nonzero()[0])  # a peer's message may have them in any order
+            return self.rows(slice(0, ended) if done else slice(ended, None))
+        return self.rows((self.done == done).nonzero()[0])  # a peer's message may have them in any order
 
-    def _rows(self, rows: Any) -> "Agents":
+    def rows(self, rows: Any) -> "Agents":
+        """Those in these rows, a slice or an index; a view for a slice."""
         return Agents(
             self.ids[rows],
             self.rewards[rows],

@@ -97,7 +97,7 @@ class CopiesHere(Copies):
     Args:
         make: Makes one.
         count: How many.
-        wrappers: To put around each, the inmost first; the first is a ``Settable``.
+        wrappers: To put around each, the inmost first; the first is a ``Settable`` where settings are to come.
 
     Raises:
         SimulationError: They differ in their spaces.
@@ -123,16 +123,16 @@ class CopiesHere(Copies):
 
     def step(self, actions: Any) -> Stepped:
         """Steps one after the other."""
-        count = len(self.envs)
-        terminated, truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-        observations, masks, rewards = [], [], []
-        for row, (env, action) in enumerate(zip(self.envs, iterate(self._actions, actions), strict=True)):
-            observation, reward, terminated[row], truncated[row], info = env.step(action)
-            observations.append(observation)
-            rewards.append(reward if type(reward) is float else _number(reward))
-            masks.append(info.get(ACTION_MASK))
-        told = batched(self.observation_space, observations)
-        return Stepped(told, masks, np.array(rewards), terminated, truncated)
+        steps = zip(self.envs, iterate(self._actions, actions), strict=True)
+        told: Any = zip(*[env.step(action) for env, action in steps], strict=True)
+        observations, rewards, terminated, truncated, infos = told
+        return Stepped(
+            batched(self.observation_space, observations),
+            [info.get(ACTION_MASK) for info in infos],
+            np.array([reward if type(reward) is float else _number(reward) for reward in rewards]),
+            np.fromiter(terminated, np.bool_),
+            np.fromiter(truncated, np.bool_),
+        )
 
     def reset(
         self, which: NDArray[np.bool_], seeds: Sequence[int | None], settings: Sequence[Settings | None] | None
@@ -160,7 +160,7 @@ class CopiesInProcesses(Copies):
         name: Of the environment in Gymnasium's registry.
         arguments: That each is made with.
         count: How many.
-        wrappers: To put around each, the inmost first; the first is a ``Settable``.
+        wrappers: To put around each, the inmost first; the first is a ``Settable`` where settings are to come.
     """
 
     def __init__(self, name: str, arguments: Mapping[str, Any], count: int, wrappers: Sequence[Wrap]) -> None:

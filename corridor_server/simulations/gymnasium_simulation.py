@@ -51,6 +51,12 @@ class GymnasiumEnvironment:
     camera: tuple[int, int] | None = None
     mode: str = "sync"
 
+    @property
+    def declared(self) -> tuple[str, ...]:
+        """All that a trainer may set: arguments that are numbers, and ``parameters``."""
+        numbers = [key for key, value in self.arguments.items() if isinstance(value, int | float)]
+        return (*numbers, *self.parameters)
+
     def check(self) -> Mapping[str, Behavior]:
         """Makes it once, in this process; returns its behavior by its full name.
 
@@ -72,8 +78,9 @@ class GymnasiumEnvironment:
         if self.camera is not None:
             arguments["render_mode"] = "rgb_array"
         spec = gymnasium.spec(name)
-        settable: Wrap = partial(Settable, spec=spec, arguments=arguments, attributes=self.parameters)
-        wrappers = [settable, *map(_wrapper, self.wrappers)]
+        wrappers = [_wrapper(each) for each in self.wrappers]
+        if self.declared:
+            wrappers.insert(0, partial(Settable, spec=spec, arguments=arguments, attributes=self.parameters))
         if self.camera is not None:
             wrappers.append(partial(_Camera, size=self.camera))
         with blaming(f"{self.name} can't be made"):
@@ -97,16 +104,15 @@ class GymnasiumSimulation(Simulation):
     def __init__(self, environment: GymnasiumEnvironment, seed: int, num_areas: int) -> None:
         self._name = environment.name
         self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
-        numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
-        self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
+        self._parameters = DeclaredParameters(environment.declared, range(num_areas))
         self._set = False  # whether a parameter was
         self._copies = environment.make(num_areas)
         self._sensors = ObservationSensors(self._copies.observation_space, self._name)
         self._choices = ActionChoices(self._copies.action_space, self._name)
         behavior = f"{self._name.rpartition(':')[2]}?team=0"
         self._behavior = Behavior(behavior, self._sensors.sensors, self._choices.continuous, self._choices.branches)
-        self._ids = np.arange(num_areas, dtype=np.int32)
-        self._last: Agents | None = None  # who ask
+        self._ids = np.arange(num_areas, dtype=np.int32)  # the copies' rows, too
+        self._last: Agents | None = None  # of the last moment
         self._masked = False  # whether it ever gave a mask in its info
         # Copies whose running episode began by itself at the last one's end, and has not moved yet.
         self._begun_by_end = np.zeros(num_areas, np.bool_)
@@ -124,9 +130,14 @@ class GymnasiumSimulation(Simulation):
 
     def reset(self) -> Moment:
         """Begins an episode in every copy, but where one has just begun by itself."""
-        if self._last is None or not self._begun_by_end.all():
-            observations, masks = self._begin(~self._begun_by_end, self._last)
+        which = ~self._begun_by_end
+        if self._last is None:
+            observations, masks = self._begin(which)
             self._last = Agents.that_ask(self._ids, observations, np.zeros(len(self._ids)), masks)
+        else:
+            self._last = self._last.deciding
+            if which.any():
+                self._last = _replaced(self._last.rows(self._ids), which, *self._begin(which))
         self._begun_by_end[:] = False
         return {self._behavior.name: self._last}
 
@@ -144,7 +155,7 @@ class GymnasiumSimulation(Simulation):
         self._begun_by_end = ended
         if ended.any():
             agents = self._with_ended(agents, ended, told.truncated & ~told.terminated)
-        self._last = agents.deciding
+        self._last = agents
         return {self._behavior.name: agents}, {}
 
     def close(self) -> None:
@@ -153,27 +164,24 @@ class GymnasiumSimulation(Simulation):
 
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
-        observations, masks = self._begin(ended, last)
-        seen = tuple(values[ended] for values in last.observations)
-        over = Agents.that_ended(self._ids[ended], seen, last.rewards[ended], interrupted[ended])
-        return over.then(Agents.that_ask(self._ids, observations, np.where(ended, 0, last.rewards), masks))
+        rows = ended.nonzero()[0]
+        count = len(rows)
+        agents = last.rows(np.concatenate([rows, self._ids]))
+        agents.done[:count] = True
+        agents.interrupted[:count] = interrupted[rows]
+        return _replaced(agents, count + rows, *self._begin(ended))
 
-    def _begin(
-        self, which: NDArray[np.bool_], last: Agents | None
-    ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
-        """Resets these copies; returns what all observe, and their masks, where the others are as they were last."""
+    def _begin(self, which: NDArray[np.bool_]) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
+        """Resets these copies; returns what they observe, and their masks."""
         with blaming(f"{self._name} failed in a reset"):
             settings = None
             if self._set:
                 settings = [self._parameters.draw(row) if which[row] else None for row in range(len(which))]
             told = self._copies.reset(which, self._seeds, settings)
             ids = self._ids[which]
-            observations, masks = self._read(told.observations, told.masks, ids, np.zeros(len(ids), np.bool_))
+            begun = self._read(told.observations, told.masks, ids, np.zeros(len(ids), np.bool_))
         self._seeds = [None] * len(which)  # a later episode goes on with its random numbers
-        if last is None:
-            return observations, masks
-        before = last.masks or tuple(np.zeros((len(which), each.shape[1]), np.bool_) for each in masks)
-        return _replaced(last.observations, which, observations), _replaced(before, which, masks)
+        return begun
 
     def _read(
         self, batch: Any, said: Sequence[Any], ids: NDArray[np.int32], ended: NDArray[np.bool_]
@@ -193,13 +201,15 @@ class GymnasiumSimulation(Simulation):
 
 
 def _replaced(
-    old: tuple[NDArray[Any], ...], which: NDArray[np.bool_], new: tuple[NDArray[Any], ...]
-) -> tuple[NDArray[Any], ...]:
-    """The old arrays with new rows where ``which`` is."""
-    replaced = tuple(values.copy() for values in old)
-    for values, rows in zip(replaced, new, strict=True):
-        values[which] = rows
-    return replaced
+    agents: Agents, rows: NDArray[Any], observations: tuple[NDArray[Any], ...], masks: tuple[NDArray[np.bool_], ...]
+) -> Agents:
+    """The agents, written over in these rows, where an episode begins."""
+    if len(agents.masks) < len(masks):  # it gives its first ones
+        agents = replace(agents, masks=tuple(np.zeros((len(agents), each.shape[1]), np.bool_) for each in masks))
+    agents.rewards[rows] = 0
+    for values, begun in zip((*agents.observations, *agents.masks), (*observations, *masks), strict=True):
+        values[rows] = begun
+    return agents
 
 
 class _Camera(gymnasium.ObservationWrapper[Any, Any, Any]):

@@ -68,8 +68,13 @@ def batched(space: spaces.Space[Any], observations: Sequence[Any]) -> Any:
     Raises:
         ValueError: One has another shape than the space.
     """
-    into: Any = create_empty_array(space, len(observations))
+    count = len(observations)
     try:
+        if space.shape is not None:  # no Dict or Tuple; one array is a third of the time of ``concatenate``
+            batch = np.array(observations)
+            if (batch.shape, batch.dtype) == ((count, *space.shape), space.dtype):
+                return batch
+        into: Any = create_empty_array(space, count)
         return concatenate(space, observations, into)
     except Exception:  # whatever an author gave
         for observation in observations:

@@ -51,6 +51,15 @@ def test_who_gives_a_mask_only_sometimes_or_late_may_do_anything_without_one(pla
     assert [each.tolist() for each in answer(simulation)[1].masks] == ALLOWED
 
 
+def test_a_first_mask_that_comes_as_an_episode_begins_forbids_those_that_ended_nothing(play_gymnasium):
+    simulation = play_gymnasium(masked(None, None, None, np.array([1, 0, 0, 1, 1])), num_areas=1)
+    simulation._copies.envs[0].unwrapped.length = 2
+    assert only(simulation.reset()).masks == answer(simulation)[1].masks == ()
+    ended, asking = answer(simulation)
+    assert [each.tolist() for each in ended.masks] == ALLOWED
+    assert [each.tolist() for each in asking.masks] == FORBIDDEN
+
+
 def test_a_mask_of_none_is_none(play_gymnasium):
     class Nothing(Count):
         def info(self):

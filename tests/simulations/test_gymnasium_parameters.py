@@ -151,6 +151,14 @@ def test_a_wrapper_with_a_setting_of_its_own_gets_none_of_ours(play_gymnasium, m
     assert [env.get_wrapper_attr("settings") for env in simulation._copies.envs] == ["mine", "mine"]
 
 
+@pytest.mark.parametrize(
+    ("declared", "wrapped"), [({}, False), ({"parameters": ("gravity",)}, True), ({"arguments": {"length": 3}}, True)]
+)
+def test_a_copy_has_a_wrapper_of_ours_in_its_way_only_where_something_can_be_set(declared, wrapped, play_gymnasium):
+    for env in play_gymnasium(**declared)._copies.envs:
+        assert env.has_wrapper_attr("settings_from_trainer") == wrapped
+
+
 def test_a_parameter_that_is_not_declared_is_refused_with_the_nearest(play_gymnasium):
     with pytest.raises(
         ValueError, match="'gravty' is no environment parameter here: the nearest that is declared is grav"

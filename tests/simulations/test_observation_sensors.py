@@ -6,6 +6,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import concatenate, create_empty_array
 
 from corridor_server.protocol.agents import Sensor
+from corridor_server.simulations import observation_sensors
 from corridor_server.simulations.observation_sensors import ObservationSensors, check_finite
 from corridor_server.simulations.simulation import SimulationError
 
@@ -133,6 +134,37 @@ def test_what_is_read_is_a_copy_as_environments_go_on_writing():
         [values] = ObservationSensors(each, "It").read(batch)
         batch[:] = 1
         assert (values == 0).all()
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [np.array([1, 2], np.float32), np.array([3, 4], np.float32)],
+        [np.array([1.0, 2.0]), np.array([3, 4])],
+        [[1, 2], (3.0, 4.0)],
+    ],
+)
+def test_a_batch_has_its_spaces_type_whatever_numbers_came(given):
+    batch = observation_sensors.batched(spaces.Box(0, 9, (2,)), given)
+    assert (batch.tolist(), batch.dtype) == ([[1, 2], [3, 4]], np.float32)
+
+
+def test_a_batch_is_no_view_of_what_came():
+    one = np.zeros(2, np.float32)
+    batch = observation_sensors.batched(spaces.Box(0, 9, (2,)), [one])
+    one[:] = 1
+    assert not batch.any()
+
+
+def test_numbers_that_would_lose_their_fractions_are_refused():
+    with pytest.raises(TypeError, match="Cannot cast"):
+        observation_sensors.batched(spaces.Box(0, 255, (2,), np.uint8), [np.array([0.5, 1.5])])
+
+
+def test_one_of_another_shape_is_named_though_there_are_as_many_numbers():
+    two = spaces.Box(0, 9, (2,))
+    with pytest.raises(ValueError, match=r"observation of shape \(1,\) came, but \(2,\) was expected"):
+        observation_sensors.batched(two, [np.zeros(1, np.float32), np.zeros(3, np.float32)])
 
 
 @pytest.mark.parametrize(
