@@ -31,10 +31,9 @@ def agents(ids, seen, rewards, *, ended=False, interrupted=False, group=0.0):
     )
 
 
-def decided(actions, values=None):
+def decided(actions):
     column = np.array(actions, np.float32).reshape(-1, 1)
-    worth = np.zeros_like(column) if values is None else np.array(values, np.float32).reshape(-1, 1)
-    return Decided(column, np.zeros((len(column), 0), np.int64), column[:, 0], worth)
+    return Decided(column, np.zeros((len(column), 0), np.int64), column[:, 0])
 
 
 @dataclass
@@ -103,7 +102,7 @@ messages = st.lists(
 @given(messages, st.integers(1, 5))
 @settings(max_examples=150, deadline=None)
 def test_whoever_comes_goes_and_asks_whenever_no_step_and_no_reward_is_lost_or_counted_twice(told, horizon):
-    teller = Teller(Experience(BEHAVIOR, 1, horizon))
+    teller = Teller(Experience(BEHAVIOR, horizon))
     for player, ended, asking, update in told:
         said = teller.message(player, ended, asking)
         if update:
@@ -118,21 +117,21 @@ def test_whoever_comes_goes_and_asks_whenever_no_step_and_no_reward_is_lost_or_c
 @given(messages)
 @settings(max_examples=60, deadline=None)
 def test_it_goes_on_from_its_own_state(told):
-    teller = Teller(Experience(BEHAVIOR, 1, 3))
+    teller = Teller(Experience(BEHAVIOR, 3))
     for player, ended, asking, interrupt in told:
         said = teller.message(player, ended, asking)
         if said:
             teller.experience.act(*said)
         if interrupt:
             state = teller.experience.state_dict()
-            teller.experience = Experience(BEHAVIOR, 1, 3)
+            teller.experience = Experience(BEHAVIOR, 3)
             teller.experience.load_state_dict(state)
     teller.take()
     assert sorted(teller.taken) == sorted(teller.expected)
 
 
 def test_a_player_that_begins_anew_leaves_its_open_steps_behind_and_no_others():
-    teller = Teller(Experience(BEHAVIOR, 1, 64))
+    teller = Teller(Experience(BEHAVIOR, 64))
     for player in (0, 1):
         teller.experience.act(*teller.message(player, [], [0, 1]))
     teller.experience.begin_anew(0)
@@ -143,7 +142,7 @@ def test_a_player_that_begins_anew_leaves_its_open_steps_behind_and_no_others():
 
 
 def test_a_groups_reward_is_each_members():
-    experience = Experience(BEHAVIOR, 1, 64)
+    experience = Experience(BEHAVIOR, 64)
     first = agents([0, 1], [0, 1], [0, 0])
     experience.act(experience.ask(0, NAME, first, Observed(first.observations)), decided([0, 0]))
     last = agents([0, 1], [2, 3], [0.5, 1.0], ended=True, group=2.0)
@@ -153,8 +152,8 @@ def test_a_groups_reward_is_each_members():
 
 
 def told(steps, horizon, values, rewards, ends):
-    """The transitions of agents in step; where they end, the next episode begins in the same message."""
-    experience = Experience(BEHAVIOR, 1, horizon)
+    """The transitions of agents in step that see what it is worth; episodes begin in the message that ends others."""
+    experience = Experience(BEHAVIOR, horizon)
     count = values.shape[1]
     ids = list(range(count))
     for step in range(steps + 1):
@@ -162,11 +161,10 @@ def told(steps, horizon, values, rewards, ends):
             who = np.flatnonzero(ends[step - 1])
             last = agents(who, np.zeros(len(who)), rewards[step - 1][who], ended=True)
             experience.end(0, NAME, last, last.observations)
-        now = agents(ids, np.zeros(count), rewards[step - 1] if step else np.zeros(count))
+        now = agents(ids, values[step], rewards[step - 1] if step else np.zeros(count))
         asked = experience.ask(0, NAME, now, Observed(now.observations))
-        experience.estimate(asked.transitions, values[step][:, None])
         if step < steps:
-            experience.act(asked, decided(np.arange(count) + count * step, values[step]))
+            experience.act(asked, decided(np.arange(count) + count * step))
     return experience.take()[0]
 
 
@@ -181,7 +179,8 @@ def test_advantages_of_agents_in_step_are_those_of_sb3s_rollout_buffer(seed):
     starts = np.vstack([np.ones(count), ends[:-1]])
     buffer.values[:], buffer.rewards[:], buffer.episode_starts[:] = values[:-1], rewards, starts
     buffer.compute_returns_and_advantage(torch.tensor(values[-1]), ends[-1])
-    found = advantages(transitions, transitions.rewards, 0, gamma, lambd)
+    worth, then = transitions.observed.observations[0][:, 0], transitions.next_observations[0][:, 0]
+    found = advantages(transitions.previous, transitions.rewards, worth, then * ~transitions.terminated, gamma, lambd)
     order = transitions.decided.continuous[:, 0].astype(int)  # step by step, agent by agent
     expected = buffer.advantages.ravel()[order]
     assert found == pytest.approx(expected, abs=1e-5)
@@ -191,11 +190,11 @@ def test_a_time_horizon_cuts_a_trajectory_and_not_what_follows_it():
     values = np.arange(9, dtype=np.float32)[:, None]
     transitions = told(8, 3, values, np.zeros((8, 1), np.float32), np.zeros((8, 1), bool))
     assert transitions.previous.tolist() == [-1, 0, 1, -1, 3, 4, -1, 6]
-    assert transitions.next_values[:, 0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert transitions.next_observations[0][:, 0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_what_was_terminated_is_told_from_what_a_time_limit_or_an_update_cut():
-    experience = Experience(BEHAVIOR, 1, 8)
+    experience = Experience(BEHAVIOR, 8)
     first = agents([0, 1, 2], [1, 2, 3], [0, 0, 0])
     experience.act(experience.ask(0, NAME, first, Observed(first.observations)), decided([1, 2, 3]))
     ended = agents([0, 1], [4, 5], [0, 0], ended=True, interrupted=[False, True])

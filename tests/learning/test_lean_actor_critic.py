@@ -67,8 +67,8 @@ def test_from_the_same_noise_it_takes_the_same_actions(kind, masked, determinist
     lean = LeanActorCritic(policy, ACTIONS[kind][1])
     torch.manual_seed(5)
     rows = flat(seen.observations)
-    acted = lean.act(rows, seen.allowed, None if deterministic else lean.noise(ROWS))
-    found = Decided(*acted, lean.values(rows))
+    found = Decided(*lean.act(rows, seen.allowed, None if deterministic else lean.noise(ROWS)))
+    assert lean.values(rows) == pytest.approx(policy.values(tensors(seen.observations)).numpy(), abs=1e-5)
     for ours, theirs in zip(found, expected, strict=True):
         assert ours.dtype == theirs.dtype
         assert ours == pytest.approx(theirs, abs=1e-5)
@@ -83,15 +83,18 @@ def test_updates_are_those_of_torch_parameter_by_parameter(kind, masked, heads):
     taken, rng = decided(theirs, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, heads)))
     nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, returns, nothing, nothing, nothing.astype(bool))
+    transitions = Transitions(seen, taken, (), advantage, nothing, nothing, nothing, nothing, nothing.astype(bool))
     settings = PPOHyperparameters(batch_size=20, learning_rate=3e-3, beta=0.02, epsilon=0.1)
     updates = (
         PPOUpdate(theirs, settings),
         PPOUpdate(ours, settings, LeanActorCritic(ours, ACTIONS[kind][1])),
     )
     before = theirs.state_dict()["action_net.weight"].clone()
+    values = returns[:, 0] * np.float32(0.5)
     for progress in (0.0, 0.5):
-        expected, found = (each.update(transitions, advantage, returns, progress, batches(2)) for each in updates)
+        expected, found = (
+            each.update(transitions, advantage, returns, values, progress, batches(2)) for each in updates
+        )
         assert found == pytest.approx(expected, rel=1e-3, abs=1e-5)
         assert expected["train/clip_fraction"] > 0.0
     assert not torch.equal(theirs.state_dict()["action_net.weight"], before)
@@ -108,10 +111,10 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
     taken, rng = decided(policy, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, 1)))
     nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, returns, nothing, nothing, nothing.astype(bool))
+    transitions = Transitions(seen, taken, (), advantage, nothing, nothing, nothing, nothing, nothing.astype(bool))
     settings = PPOHyperparameters(batch_size=20)
     first = PPOUpdate(policy, settings, LeanActorCritic(policy, (3, 2)))
-    first.update(transitions, advantage, returns, 0.0, batches(2))
+    first.update(transitions, advantage, returns, returns[:, 0] * 0.5, 0.0, batches(2))
     weights, state = copy.deepcopy(policy.state_dict()), copy.deepcopy(first.state_dict())
     results = []
     for lean in (False, True):
@@ -119,7 +122,7 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
         other.load_state_dict(weights)
         update = PPOUpdate(other, settings, LeanActorCritic(other, (3, 2)) if lean else None)
         update.load_state_dict(state)
-        update.update(transitions, advantage, returns, 0.0, batches(3))
+        update.update(transitions, advantage, returns, returns[:, 0] * 0.5, 0.0, batches(3))
         results.append(other.state_dict())
     for name, value in results[0].items():
         assert not torch.equal(value, weights[name]), name

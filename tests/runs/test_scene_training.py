@@ -65,7 +65,7 @@ def told(transitions) -> list[tuple]:
         transitions.decided.discrete[:, 0],
         transitions.rewards,
         transitions.next_observations[0][:, 0] * 2.0**14,
-        transitions.next_values[:, 0] == 0,
+        transitions.terminated,
     )
     return list(zip(*(column.tolist() for column in columns), strict=True))
 

@@ -69,7 +69,7 @@ def by_agents(port, folder):
         messages = scene.reset()
         (name,) = scene.behaviors
         behavior = scene.behaviors[name]
-        experience, scaling = Experience(behavior, 1, 10**6), ObservationScaling(behavior, normalize=False)
+        experience, scaling = Experience(behavior, 10**6), ObservationScaling(behavior, normalize=False)
         ends, rest = {}, iter(actions())
         while True:
             (message,) = messages
@@ -86,7 +86,7 @@ def by_agents(port, folder):
                     break
                 mine, areas = chosen[asking.ids], asking.ids.astype(np.float32)
                 nothing = np.zeros((AREAS, 0), np.int64)
-                experience.act(asked, Decided(mine, nothing, areas, np.zeros((AREAS, 1), np.float32)))
+                experience.act(asked, Decided(mine, nothing, areas))
                 batch = {name: ActionBatch(mine, nothing.astype(np.int32))}
             scene.send([batch])
             messages = scene.receive()

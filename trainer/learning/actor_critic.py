@@ -30,13 +30,11 @@ class Acted(NamedTuple):
         continuous: (n, continuous actions) float32, not clipped.
         discrete: The choice in each branch, (n, branches) int64.
         log_probs: Of the whole action, (n,).
-        values: (n, value heads).
     """
 
     continuous: Tensor
     discrete: Tensor
     log_probs: Tensor
-    values: Tensor
 
 
 class ActorCritic(nn.Module):
@@ -100,8 +98,8 @@ class ActorCritic(nn.Module):
     @torch.no_grad()
     def act(self, observations: Sequence[Tensor], allowed: Tensor | None, deterministic: bool = False) -> Acted:
         """Samples an action for every agent, or takes the most likely one of each part; keeps no gradient."""
-        means, logits, values = self._forward(observations, allowed)
-        log_probs = values.new_zeros(len(values))
+        means, logits = self._distributions(self._actor(self.encoder.encode(observations)), allowed)
+        log_probs = means.new_zeros(len(means))
         continuous = means
         if self._continuous:
             noise = torch.zeros_like(means) if deterministic else torch.randn_like(means)
@@ -113,8 +111,8 @@ class ActorCritic(nn.Module):
             noisy = branch if deterministic else branch - _exponential(branch).log_()
             choices.append(noisy.argmax(dim=1, keepdim=True))
             log_probs = log_probs + branch.gather(1, choices[-1]).squeeze(1)
-        discrete = torch.cat(choices, dim=1) if choices else torch.zeros(len(values), 0, dtype=torch.int64)
-        return Acted(continuous, discrete, log_probs, values)
+        discrete = torch.cat(choices, dim=1) if choices else torch.zeros(len(means), 0, dtype=torch.int64)
+        return Acted(continuous, discrete, log_probs)
 
     def evaluate(
         self, observations: Sequence[Tensor], allowed: Tensor | None, continuous: Tensor, discrete: Tensor
@@ -124,7 +122,10 @@ class ActorCritic(nn.Module):
         Returns:
             Values (n, value heads), log probabilities (n,) and entropies (n,).
         """
-        means, logits, values = self._forward(observations, allowed)
+        features = self.encoder.encode(observations)
+        latent = self._actor(features)
+        values = self._critic(features, latent)
+        means, logits = self._distributions(latent, allowed)
         log_probs = entropy = values.new_zeros(len(values))
         if self._continuous:
             log_probs = self._normal_log_probs((continuous - means) * (-self.log_std).exp())
@@ -137,29 +138,30 @@ class ActorCritic(nn.Module):
     @torch.no_grad()
     def values(self, observations: Sequence[Tensor]) -> Tensor:
         """The critic's values, (n, value heads); keeps no gradient."""
-        values: Tensor = self.value_net(self._critic(self.encoder.encode(observations)))
+        features = self.encoder.encode(observations)
+        values: Tensor = self.value_net(
+            self._actor(features) if self._shared else self.mlp_extractor.value_net(features)
+        )
         return values
 
-    def _forward(
-        self, observations: Sequence[Tensor], allowed: Tensor | None
-    ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
-        """Means (n, continuous actions), each branch's log probabilities (n, choices), values (n, value heads)."""
-        features = self.encoder.encode(observations)
-        latent = self.mlp_extractor.policy_net(features)
+    def _actor(self, features: Tensor) -> Tensor:
+        latent: Tensor = self.mlp_extractor.policy_net(features)
+        return latent
+
+    def _critic(self, features: Tensor, latent: Tensor) -> Tensor:
         values: Tensor = self.value_net(latent if self._shared else self.mlp_extractor.value_net(features))
+        return values
+
+    def _distributions(self, latent: Tensor, allowed: Tensor | None) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Means (n, continuous actions), and each branch's log probabilities (n, choices), of the actor's layers."""
         outputs: Tensor = self.action_net(latent)
         if not self._branches:
-            return outputs, (), values
+            return outputs, ()
         means, logits = outputs[:, : self._continuous], outputs[:, self._continuous :]
         if allowed is not None:
             logits = logits.masked_fill(~allowed, FORBIDDEN)
         branches = [branch.log_softmax(dim=1) for branch in torch.split(logits, list(self._branches), dim=1)]
-        return means, tuple(branches), values
-
-    def _critic(self, features: Tensor) -> Tensor:
-        network = self.mlp_extractor.policy_net if self._shared else self.mlp_extractor.value_net
-        latent: Tensor = network(features)
-        return latent
+        return means, tuple(branches)
 
     def _normal_log_probs(self, deviations: Tensor) -> Tensor:
         """Log probabilities, (n,), of actions that lie (n, continuous actions) standard deviations from the means."""

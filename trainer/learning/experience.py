@@ -16,7 +16,7 @@ from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observe
 
 Agent = tuple[int, str, int]  # player, full name of the behavior, id
 _NONE = -1
-_OF_A_SLOT = ("open", "last", "awaiting", "age", "lengths", "episode")
+_OF_A_SLOT = ("open", "last", "age", "lengths", "episode")
 
 
 class Experience:
@@ -24,7 +24,6 @@ class Experience:
 
     Args:
         behavior: What they observe and do.
-        heads: Value heads.
         time_horizon: Transitions after which a trajectory is cut.
 
     Attributes:
@@ -33,7 +32,7 @@ class Experience:
         undecided: How many agents ended before they decided anything.
     """
 
-    def __init__(self, behavior: Behavior, heads: int, time_horizon: int) -> None:
+    def __init__(self, behavior: Behavior, time_horizon: int) -> None:
         self._time_horizon = time_horizon
         choices, branches = sum(behavior.discrete_branches), len(behavior.discrete_branches)
         self._observations = [Rows(each.shape) for each in behavior.sensors]
@@ -42,8 +41,6 @@ class Experience:
             "continuous": Rows((behavior.continuous_actions,)),
             "discrete": Rows((branches,), np.int64),
             "log_probs": Rows(()),
-            "values": Rows((heads,)),
-            "next_values": Rows((heads,)),
             "rewards": Rows((), np.float32),
             "seen": Rows((), np.intp),  # the observation's row
             "next_seen": Rows((), np.intp),  # -1 while the transition is open
@@ -58,14 +55,19 @@ class Experience:
         self._agents: dict[Agent, int] = {}
         self._free: list[int] = []
         self._episodes = 0  # numbers given so far
-        # By slot, one for each agent in an episode: its open transition, the one before, and the one whose successor
-        # is not acted on yet; -1 for none. Of its trajectory and its episode, what there is so far.
+        # By slot, one for each agent in an episode: its open transition, and the one before; -1 for none. Of its
+        # trajectory and its episode, what there is so far.
         self._slots: dict[str, NDArray[Any]] = {name: np.zeros(0, np.intp) for name in _OF_A_SLOT}
         self._slots["totals"] = np.zeros(0)
 
     def __len__(self) -> int:
         """How many transitions there are, closed and open."""
         return len(self._columns["rewards"])
+
+    @property
+    def observations(self) -> tuple[Singles, ...]:
+        """All that is kept, of each sensor (rows, *shape); views."""
+        return tuple(each.used for each in self._observations)
 
     def begin_anew(self, player: int) -> None:
         """Forgets the running episodes of a player that says no more of them."""
@@ -126,22 +128,12 @@ class Experience:
             chosen = slots[going_on]
             closed = self._slots["open"][chosen]
             self._finish(chosen, closed, _rewards(agents)[going_on], rows[going_on])
-            self._slots["last"][chosen] = self._slots["awaiting"][chosen] = closed
+            self._slots["last"][chosen] = closed
             self._slots["age"][chosen] += 1
             cut = chosen[self._slots["age"][chosen] >= self._time_horizon]
             self._slots["last"][cut], self._slots["age"][cut] = _NONE, 0
         self._slots["open"][slots] = _NONE
-        return Asking(slots, rows, self._slots["awaiting"][slots])
-
-    def estimate(self, transitions: Indices, values: Singles) -> None:
-        """Says what follows some transitions is worth.
-
-        Args:
-            transitions: Which, (n,); those that are -1 are left out.
-            values: (n, heads).
-        """
-        which = transitions >= 0
-        self._columns["next_values"].values[transitions[which]] = values[which]
+        return Asking(slots, rows)
 
     def act(self, asking: "Asking", decided: Decided) -> None:
         """Begins a transition for each agent that asked.
@@ -155,8 +147,6 @@ class Experience:
         columns["continuous"].append(decided.continuous)
         columns["discrete"].append(decided.discrete)
         columns["log_probs"].append(decided.log_probs)
-        columns["values"].append(decided.values)
-        columns["next_values"].append(np.zeros_like(decided.values))
         columns["rewards"].append(np.zeros(count, np.float32))
         columns["seen"].append(asking.rows)
         columns["next_seen"].append(np.full(count, _NONE, np.intp))
@@ -164,7 +154,6 @@ class Experience:
         columns["episodes"].append(self._slots["episode"][asking.slots])
         columns["terminated"].append(np.zeros(count, np.bool_))
         self._slots["open"][asking.slots] = begun
-        self._slots["awaiting"][asking.slots] = _NONE
 
     def take(self, asking: Sequence["Asking"] = ()) -> tuple[Transitions, list["Asking"]]:
         """Takes the closed transitions out; every running trajectory is cut here.
@@ -187,10 +176,11 @@ class Experience:
                 tuple(each.used[seen] for each in self._observations),
                 self._allowed.used[seen] if self._masked else None,
             ),
-            Decided(*(columns[name][closed] for name in ("continuous", "discrete", "log_probs", "values"))),
+            Decided(*(columns[name][closed] for name in ("continuous", "discrete", "log_probs"))),
             tuple(each.used[next_seen] for each in self._observations),
             columns["rewards"][closed],
-            columns["next_values"][closed],
+            seen,
+            next_seen,
             previous,
             columns["episodes"][closed],
             columns["terminated"][closed],
@@ -235,8 +225,7 @@ class Experience:
                 self._slots[name] = np.concatenate([former, np.full(more, _NONE, former.dtype)])
         slot = self._free.pop()
         self._agents[agent] = slot
-        for name in ("open", "last", "awaiting"):
-            self._slots[name][slot] = _NONE
+        self._slots["open"][slot] = self._slots["last"][slot] = _NONE
         self._slots["age"][slot] = self._slots["lengths"][slot] = 0
         self._slots["totals"][slot] = 0.0
         self._slots["episode"][slot] = self._episodes
@@ -288,12 +277,12 @@ class Experience:
         columns["seen"].used[:] = np.arange(len(kept))
         columns["previous"].used[:] = _NONE
         slots["open"][waiting] = np.arange(len(kept))
-        slots["last"][:] = slots["awaiting"][:] = _NONE
+        slots["last"][:] = _NONE
         slots["age"][:] = 0
         self.closed = 0
         moved, start = [], len(kept)
-        for asking_slots, former, _ in asking:
-            moved.append(Asking(asking_slots, np.arange(start, start + len(former)), np.full_like(former, _NONE)))
+        for asking_slots, former in asking:
+            moved.append(Asking(asking_slots, np.arange(start, start + len(former))))
             start += len(former)
         return moved
 
@@ -304,12 +293,10 @@ class Asking(NamedTuple):
     Attributes:
         slots: Of each, (n,).
         rows: Where what it observes is kept, (n,).
-        transitions: That its request has closed, (n,); -1 for an agent whose episode begins.
     """
 
     slots: Indices
     rows: Indices
-    transitions: Indices
 
 
 def _rewards(agents: Agents) -> Singles:

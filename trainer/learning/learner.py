@@ -41,22 +41,6 @@ class _Waiting(NamedTuple):
     asking: Asking | None  # None for agents that are not learned from any more
 
 
-class Chosen(NamedTuple):
-    """Actions of n agents.
-
-    Attributes:
-        continuous: (n, size) float32, before clipping.
-        discrete: (n, branches) int64.
-        log_probs: (n,) float32.
-        values: (n, heads) float32, where they were made with the actions.
-    """
-
-    continuous: Singles
-    discrete: NDArray[np.int64]
-    log_probs: Singles
-    values: Singles | None = None
-
-
 class Learner(ABC):
     """Learns one behavior, whatever its teams.
 
@@ -64,7 +48,6 @@ class Learner(ABC):
         behavior: What its agents observe and do.
         settings: How it is learned.
         signals: The rewards that it is learned from.
-        heads: Value heads that a decision is remembered with.
         device: Where its networks compute.
 
     Attributes:
@@ -85,19 +68,18 @@ class Learner(ABC):
         behavior: Behavior,
         settings: BehaviorSettings,
         signals: tuple[Signal, ...],
-        heads: int,
         device: torch.device,
     ) -> None:
         self.behavior, self.settings = behavior, settings
         self.observations = ObservationScaling(behavior, settings.network_settings.normalize)
-        self.experience = Experience(behavior, heads, settings.time_horizon)
+        self.experience = Experience(behavior, settings.time_horizon)
         self.learned = self.updates = self.episodes = 0
         self.metrics: dict[str, float] = {}
         self.recent = {name: deque[float](maxlen=WINDOW) for name in ("returns", "lengths", "intrinsic")}
         self.ended_returns: list[float] = []
         self._signals, self._device = signals, device
         self._waiting: list[_Waiting] = []
-        self._acting: tuple[list[_Waiting], Observed, Chosen] | None = None  # what is still to be remembered
+        self._acting: tuple[list[_Waiting], Decided] | None = None  # what is still to be remembered
         self._plays = False
 
     @property
@@ -133,7 +115,7 @@ class Learner(ABC):
     @property
     def is_nearly_full(self) -> bool:
         """Whether the next messages may bring enough for an update."""
-        acting = 0 if self._acting is None else len(self._acting[1])
+        acting = 0 if self._acting is None else len(self._acting[1].log_probs)
         return not self.is_done and self._is_enough(len(self.experience) + acting)
 
     def play(self) -> None:
@@ -183,34 +165,22 @@ class Learner(ABC):
         if not waiting:
             return {}
         deterministic = self._plays or self.settings.network_settings.deterministic
-        observed = joined([each.observed for each in waiting])
-        chosen = self._decide(observed, deterministic)
-        self._check_finite(chosen.continuous)
-        self._acting = waiting, observed, chosen
-        clipped, discrete = np.clip(chosen.continuous, -1.0, 1.0), chosen.discrete.astype(np.int32)
+        decided = self._decide(joined([each.observed for each in waiting]), deterministic)
+        self._check_finite(decided.continuous)
+        self._acting = waiting, decided
+        clipped, discrete = np.clip(decided.continuous, -1.0, 1.0), decided.discrete.astype(np.int32)
         return {
             (each.player, each.behavior): ActionBatch(clipped[part], discrete[part]) for each, part in _parts(waiting)
         }
 
     def remember(self) -> None:
-        """Begins the transitions of what ``act`` decided; once.
-
-        Raises:
-            TrainerError: A value is NaN or infinite.
-        """
+        """Begins the transitions of what ``act`` decided; once."""
         if self._acting is None:
             return
-        (waiting, observed, chosen), self._acting = self._acting, None
-        if all(each.asking is None for each in waiting):
-            return
-        values = self._values_of(observed, chosen)
-        self._check_finite(values)
-        decided = Decided(chosen.continuous, chosen.discrete, chosen.log_probs, values)
+        (waiting, decided), self._acting = self._acting, None
         for each, part in _parts(waiting):
             if each.asking is not None:
-                own = decided.rows(part)
-                self.experience.estimate(each.asking.transitions, own.values)
-                self.experience.act(each.asking, own)
+                self.experience.act(each.asking, decided.rows(part))
 
     @abstractmethod
     def learn(self) -> None:
@@ -271,12 +241,8 @@ class Learner(ABC):
         """Whether so many transitions, which ``learn`` has not taken yet, are enough for it."""
 
     @abstractmethod
-    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
+    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
         """What agents that observe this shall do."""
-
-    @abstractmethod
-    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
-        """What agents that observed this, and do that, are to expect, (n, heads)."""
 
     def _observed(self, agents: Agents) -> Observed:
         """What agents observe, as it is remembered."""

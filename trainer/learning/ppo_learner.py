@@ -11,11 +11,12 @@ from corridor_server.protocol.agents import Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.lean_actor_critic import LeanActorCritic, flat
-from trainer.learning.learner import LOSS_TAGS, Chosen, Learner, part_of
+from trainer.learning.learner import LOSS_TAGS, Learner, part_of
 from trainer.learning.ppo_update import PPOUpdate, minibatches
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensor, tensors
 from trainer.learning.transitions import (
+    Decided,
     EndedEpisode,
     Indices,
     Observed,
@@ -24,6 +25,7 @@ from trainer.learning.transitions import (
     advantages,
 )
 
+CHUNK = 1024  # observations that are valued at once: pictures need memory
 _Columns = tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]
 
 
@@ -51,7 +53,7 @@ class PPOLearner(Learner):
         assert isinstance(settings.hyperparameters, PPOHyperparameters)
         self._own = settings.hyperparameters
         self._heads = 1 if self._own.value_heads == "one" else len(signals)
-        super().__init__(behavior, settings, signals, self._heads, device)
+        super().__init__(behavior, settings, signals, device)
         network = settings.network_settings
         self.policy = ActorCritic(
             behavior,
@@ -75,18 +77,18 @@ class PPOLearner(Learner):
 
     def learn(self) -> None:
         """Makes an update of what was taken; agents that wait are decided for with the new policy."""
-        for each in self._waiting:
-            if each.asking is not None:
-                values = self._values(each.observed.observations)
-                self.experience.estimate(each.asking.transitions, values)
+        worth = self._values(self.experience.observations)
+        self._check_finite(worth)
         progress = self.progress
         transitions = self._take_closed()
+        values, next_values = worth[transitions.seen], worth[transitions.next_seen]
+        next_values[transitions.terminated] *= self._after_end
         rewards = self._rewards(transitions)
-        advantage, returns = self._targets(transitions, rewards)
+        advantage, returns = self._targets(transitions, rewards, values, next_values)
         batches = [each for _ in range(self._own.num_epoch) for each in self._minibatches(transitions)]
-        self.metrics |= self._ppo.update(transitions, advantage, returns, progress, batches)
+        self.metrics |= self._ppo.update(transitions, advantage, returns, values[:, 0], progress, batches)
         for head, signal in enumerate(self._signals[: self._heads]):
-            estimate = float(transitions.decided.values[:, head].mean())
+            estimate = float(values[:, head].mean())
             self.metrics[f"Policy/{signal.name.capitalize()} Value Estimate"] = estimate
         self.metrics |= self._learn_signals(transitions)
         self.updates += 1
@@ -117,32 +119,29 @@ class PPOLearner(Learner):
     def _is_enough(self, transitions: int) -> bool:
         return transitions >= min(self._own.buffer_size, self.settings.max_steps - self.learned)
 
-    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
+    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
         if self._lean is not None:
             rows = flat(observed.observations)
-            return Chosen(
-                *self._lean.act(rows, observed.allowed, None if deterministic else self._lean.noise(len(rows)))
-            )
+            noise = None if deterministic else self._lean.noise(len(rows))
+            return Decided(*self._lean.act(rows, observed.allowed, noise))
         acted = self.policy.act(
             tensors(observed.observations, self._device), tensor(observed.allowed, self._device), deterministic
         )
-        return Chosen(*(part.cpu().numpy() for part in acted))
-
-    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
-        return self._values(observed.observations) if chosen.values is None else chosen.values
+        return Decided(*(part.cpu().numpy() for part in acted))
 
     def _ended(
         self, transitions: Indices, observations: tuple[Singles, ...], ended: Agents, episodes: list[EndedEpisode]
     ) -> None:
-        counts = np.where(ended.interrupted[:, None], np.float32(1), self._after_end)
-        if counts.any():
-            self.experience.estimate(transitions, self._values(observations) * counts)
         self._over.extend(episode.number for episode in episodes)
 
     def _values(self, observations: tuple[Singles, ...]) -> Singles:
         if self._lean is not None:
             return self._lean.values(flat(observations))
-        values: Singles = self.policy.values(tensors(observations, self._device)).cpu().numpy()
+        parts = [
+            self.policy.values(tensors([each[start : start + CHUNK] for each in observations], self._device)).cpu()
+            for start in range(0, len(observations[0]), CHUNK)
+        ]
+        values: Singles = torch.cat(parts).numpy()
         return values
 
     def _rewards(self, transitions: Transitions) -> list[Singles]:
@@ -167,14 +166,19 @@ class PPOLearner(Learner):
         self.recent["intrinsic"].extend(self._sums.pop(number, 0.0) for number in self._over)
         self.metrics["rollout/intrinsic_reward"] = float(rewards.mean())
 
-    def _targets(self, transitions: Transitions, rewards: list[Singles]) -> tuple[Singles, Singles]:
+    def _targets(
+        self, transitions: Transitions, rewards: list[Singles], values: Singles, next_values: Singles
+    ) -> tuple[Singles, Singles]:
         """The advantages, (n,), and what each value head is to say, (n, heads)."""
         if self._heads == 1:
             rewards = [np.sum(rewards, axis=0, dtype=np.float32)]
         gammas, lambd = [signal.gamma for signal in self._signals], self._own.lambd
-        each = [advantages(transitions, own, head, gammas[head], lambd) for head, own in enumerate(rewards)]
+        each = [
+            advantages(transitions.previous, own, values[:, head], next_values[:, head], gammas[head], lambd)
+            for head, own in enumerate(rewards)
+        ]
         stacked = np.stack(each, axis=1)
-        return stacked.mean(axis=1), stacked + transitions.decided.values
+        return stacked.mean(axis=1), stacked + values
 
     def _minibatches(self, transitions: Transitions) -> list[Indices]:
         return list(minibatches(len(transitions), self._own.batch_size, self._generator))

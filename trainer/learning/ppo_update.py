@@ -44,6 +44,7 @@ class PPOUpdate:
         transitions: Transitions,
         advantages: Singles,
         returns: Singles,
+        values: Singles,
         progress: float,
         batches: Iterable[Indices],
     ) -> dict[str, float]:
@@ -53,6 +54,7 @@ class PPOUpdate:
             transitions: What was done.
             advantages: Of each, (n,).
             returns: What each value head should have said, (n, heads).
+            values: What the first value head said, (n,).
             progress: The share of the run that is behind, 0 to 1.
             batches: Which of them to learn from, one after another.
         """
@@ -62,7 +64,6 @@ class PPOUpdate:
         beta = scheduled(own.beta, LEAST_BETA, own.beta_schedule, progress)
         self._optimizer.param_groups[0]["lr"] = rate
         descend = self._descend_with_torch if self._lean is None else self._descend_lean
-        decided = transitions.decided
         measures = list(descend(batches, transitions, advantages, returns, epsilon, beta))
         policy_loss, value_loss, mean_entropy, clipped, divergence = np.mean(measures, axis=0).tolist()
         return {
@@ -71,7 +72,7 @@ class PPOUpdate:
             "train/entropy_loss": -mean_entropy,
             "train/approx_kl": divergence,
             "train/clip_fraction": clipped,
-            "train/explained_variance": float(explained_variance(decided.values[:, 0], returns[:, 0])),
+            "train/explained_variance": float(explained_variance(values, returns[:, 0])),
             "train/learning_rate": rate,
             "train/clip_range": epsilon,
             "Losses/Policy Loss": policy_loss,
@@ -107,7 +108,7 @@ class PPOUpdate:
         observed, decided = transitions.observed, transitions.decided
         device = self._policy.log_std.device
         observations, allowed = tensors(observed.observations, device), tensor(observed.allowed, device)
-        continuous, discrete, old_log_probs, _ = tensors(decided, device)
+        continuous, discrete, old_log_probs = tensors(decided, device)
         advantage, target = tensors((advantages, returns), device)
         for indices in batches:
             rows = torch.from_numpy(indices).to(device)

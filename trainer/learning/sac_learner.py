@@ -15,13 +15,13 @@ from corridor_server.protocol.agents import Agents, Behavior
 from trainer.behavior_settings import BehaviorSettings, SACHyperparameters
 from trainer.errors import TrainerError
 from trainer.learning.adam_state import adam_state, load_adam_state
-from trainer.learning.learner import LOSS_TAGS, Chosen, Learner, part_of
+from trainer.learning.learner import LOSS_TAGS, Learner, part_of
 from trainer.learning.observation_encoder import ObservationEncoder, observation_space
 from trainer.learning.ppo_update import LEAST_RATE, scheduled
 from trainer.learning.replay_memory import ReplayMemory
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensors
-from trainer.learning.transitions import EndedEpisode, Indices, Observed, Singles
+from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Singles
 
 
 class SACLearner(Learner):
@@ -50,7 +50,7 @@ class SACLearner(Learner):
     ) -> None:
         assert isinstance(settings.hyperparameters, SACHyperparameters)
         _check(behavior, signals)
-        super().__init__(behavior, settings, signals, 0, device)
+        super().__init__(behavior, settings, signals, device)
         self._own = own = settings.hyperparameters
         try:
             self._sac = self._build()
@@ -172,16 +172,13 @@ class SACLearner(Learner):
         )
 
     @torch.no_grad()
-    def _decide(self, observed: Observed, deterministic: bool) -> Chosen:
+    def _decide(self, observed: Observed, deterministic: bool) -> Decided:
         scaled = tensors(self.observations.scaled(observed.observations), self._device)
         named = {f"obs_{number}": each for number, each in enumerate(scaled)}
         with self._finite():
             actions = self._sac.actor(named, deterministic).cpu().numpy()
         count = len(actions)
-        return Chosen(actions, np.zeros((count, 0), np.int64), np.zeros(count, np.float32))
-
-    def _values_of(self, observed: Observed, chosen: Chosen) -> Singles:
-        return np.zeros((len(chosen.continuous), 0), np.float32)
+        return Decided(actions, np.zeros((count, 0), np.int64), np.zeros(count, np.float32))
 
     @contextmanager
     def _finite(self) -> Iterator[None]:

@@ -46,17 +46,15 @@ class Decided(NamedTuple):
         continuous: (n, size) float32, before clipping.
         discrete: (n, branches) int64.
         log_probs: (n,) float32.
-        values: Of each value head, (n, heads) float32.
     """
 
     continuous: Singles
     discrete: NDArray[np.int64]
     log_probs: Singles
-    values: Singles
 
     def rows(self, part: slice) -> "Decided":
         """Some of them."""
-        return Decided(self.continuous[part], self.discrete[part], self.log_probs[part], self.values[part])
+        return Decided(self.continuous[part], self.discrete[part], self.log_probs[part])
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,8 @@ class Transitions:
         decided: What they did.
         next_observations: What they saw then; at an episode's end its own last observations.
         rewards: Of the environment, an agent's own and its group's, (n,) float32.
-        next_values: Value of what followed, for each head, (n, heads) float32; 0 after a terminated episode.
+        seen: Where what they saw is among all observations that were kept, (n,).
+        next_seen: Where what they saw then is, (n,).
         previous: The transition before in the same trajectory, (n,); -1 where one begins.
         episodes: A number for each agent's episode, (n,).
         terminated: Whether the episode ended with it and nothing was to follow, (n,) bool: no time limit cut it.
@@ -78,7 +77,8 @@ class Transitions:
     decided: Decided
     next_observations: tuple[Singles, ...]
     rewards: Singles
-    next_values: Singles
+    seen: Indices
+    next_seen: Indices
     previous: Indices
     episodes: Indices
     terminated: NDArray[np.bool_]
@@ -101,21 +101,24 @@ class EndedEpisode(NamedTuple):
     length: int
 
 
-def advantages(transitions: Transitions, rewards: Singles, head: int, gamma: float, lambd: float) -> Singles:
+def advantages(
+    previous: Indices, rewards: Singles, values: Singles, next_values: Singles, gamma: float, lambd: float
+) -> Singles:
     """Generalised advantage estimation along every trajectory, (n,) float32.
 
     Args:
-        transitions: Of any trajectories.
-        rewards: That this head is about, (n,).
-        head: Of the values.
+        previous: Of each transition the one before; see ``Transitions``.
+        rewards: (n,).
+        values: Of what was seen, (n,).
+        next_values: Of what was seen then, (n,); 0 where nothing more is to come.
         gamma: Discount factor.
         lambd: Lambda.
     """
-    deltas = rewards + gamma * transitions.next_values[:, head] - transitions.decided.values[:, head]
+    deltas = rewards + gamma * next_values - values
     estimates, factor = deltas.astype(np.float64).tolist(), gamma * lambd
-    for index, previous in zip(range(len(estimates) - 1, -1, -1), reversed(transitions.previous.tolist()), strict=True):
-        if previous >= 0:
-            estimates[previous] += factor * estimates[index]
+    for index, before in zip(range(len(estimates) - 1, -1, -1), reversed(previous.tolist()), strict=True):
+        if before >= 0:
+            estimates[before] += factor * estimates[index]
     return np.array(estimates, np.float32)
 
 
