@@ -137,6 +137,11 @@ class Curricula:
         self._smoothed = dict.fromkeys(self._lessons, 0.0)
 
     @property
+    def are_taught(self) -> bool:
+        """Whether any parameter has lessons to go on to."""
+        return any(len(lessons) > 1 for lessons in self._lessons.values())
+
+    @property
     def numbers(self) -> dict[str, int]:
         """The number of each parameter's lesson, from 0."""
         return dict(self._numbers)

@@ -112,11 +112,10 @@ class Learner(ABC):
         """Whether there is enough for an update."""
         return not self.is_done and self._is_enough(self.experience.closed)
 
-    @property
-    def is_nearly_full(self) -> bool:
-        """Whether the next messages may bring enough for an update."""
-        acting = 0 if self._acting is None else len(self._acting[1].log_probs)
-        return not self.is_done and self._is_enough(len(self.experience) + acting)
+    def may_be_full(self, messages: int = 1) -> bool:
+        """Whether so many next messages of every player may bring enough for an update."""
+        closed, acting = self.experience.closed, 0 if self._acting is None else len(self._acting[1].log_probs)
+        return not self.is_done and self._is_enough(closed + messages * (len(self.experience) - closed + acting))
 
     def play(self) -> None:
         """From here on it only acts, and takes the most likely actions: what an evaluation does."""

@@ -91,16 +91,32 @@ class Scene:
         Args:
             actions: For each player, by full behavior names.
         """
-        for player, chosen in zip(self._players, actions, strict=True):
-            for name, batch in chosen.items():
-                if len(batch.continuous):
-                    player.environment.set_actions(name, ActionTuple(batch.continuous, batch.discrete))
-            player.state.state = None  # what it answers is of its next message
-            player.environment.send()
+        for number, chosen in enumerate(actions):
+            self.send_one(number, chosen)
+
+    def send_one(self, number: int, actions: Actions) -> None:
+        """Hands one player the actions of its agents that asked, by full behavior names."""
+        player = self._players[number]
+        for name, batch in actions.items():
+            if len(batch.continuous):
+                player.environment.set_actions(name, ActionTuple(batch.continuous, batch.discrete))
+        player.state.state = None  # what it answers is of its next message
+        player.environment.send()
 
     def receive(self) -> list[Message]:
         """Waits for what every player says next."""
-        return [self._receive(number) for number in range(len(self._players))]
+        return [self.receive_one(number) for number in range(len(self._players))]
+
+    def receive_one(self, number: int) -> Message:
+        """Waits for what one player says next."""
+        try:
+            self._players[number].environment.receive()
+            return self._message(number)
+        except FAILURES as error:
+            self._restart(number, error)
+        except BadNumbers as error:
+            raise TrainerError(explain(error) + self._logs.hint(self._logs.of(number))) from error
+        return self._reset(number)
 
     @property
     def says_its_state(self) -> bool:
@@ -152,16 +168,6 @@ class Scene:
                 self._restart(number, error)
             except BadNumbers as error:
                 raise TrainerError(explain(error) + self._logs.hint(self._logs.of(number))) from error
-
-    def _receive(self, number: int) -> Message:
-        try:
-            self._players[number].environment.receive()
-            return self._message(number)
-        except FAILURES as error:
-            self._restart(number, error)
-        except BadNumbers as error:
-            raise TrainerError(explain(error) + self._logs.hint(self._logs.of(number))) from error
-        return self._reset(number)
 
     def _message(self, number: int) -> Message:
         environment = self._players[number].environment

@@ -60,10 +60,9 @@ class BehaviorLearners:
         """Whether each has taken all its steps."""
         return bool(self._learners) and all(learner.is_done for learner in self._learners.values())
 
-    @property
-    def may_be_full(self) -> bool:
-        """Whether the next messages may bring one enough for an update."""
-        return any(learner.is_nearly_full for learner in self._learners.values())
+    def may_be_full(self, messages: int = 1) -> bool:
+        """Whether so many next messages of every player may bring one enough for an update."""
+        return any(learner.may_be_full(messages) for learner in self._learners.values())
 
     def take(self, messages: list[Message], again: bool = False) -> None:
         """Hands every learner what the players' agents say.
@@ -73,12 +72,16 @@ class BehaviorLearners:
             again: Whether the learners have had them before: of a run that goes on where it was saved.
         """
         for player, message in enumerate(messages):
-            if message.anew:
-                for learner in self._learners.values():
-                    learner.begin_anew(player)
-            for name in dict.fromkeys((*message.ended, *message.asking)):
-                learner = self._of(self._scene.behaviors[name])
-                learner.take(player, name, message.ended.get(name), message.asking.get(name), again)
+            self.take_one(player, message, again)
+
+    def take_one(self, player: int, message: Message, again: bool = False) -> None:
+        """Hands every learner what one player's agents say."""
+        if message.anew:
+            for learner in self._learners.values():
+                learner.begin_anew(player)
+        for name in dict.fromkeys((*message.ended, *message.asking)):
+            learner = self._of(self._scene.behaviors[name])
+            learner.take(player, name, message.ended.get(name), message.asking.get(name), again)
 
     def remember(self) -> None:
         """Has every learner begin the transitions of what ``act`` decided."""

@@ -105,16 +105,34 @@ class SceneTraining:
                         break
                     self._teach()
                     actions = learners.act()
-                    if learners.may_be_full:
+                    if learners.may_be_full():
                         scene.ask_states()
                     scene.send(actions)
                     learners.remember()  # while the players go on
+                    self._go_round(signals)
                     self._messages = scene.receive()
                     learners.take(self._messages)
             finally:
                 with deferred():
                     self._finish()
         return not signals.received
+
+    def _go_round(self, signals: StopSignals) -> None:
+        """Serves several players in turn, each while the others play, as long as no update or lesson needs all of them.
+
+        With it a player that takes its time hardly waits for another. Whose turn it is does not depend on who is
+        fast: the same seed gives the same run.
+        """
+        learners, scene = self.learners, self._scene
+        if len(scene) == 1 or self.curricula.are_taught:
+            return
+        while True:
+            for number in range(len(scene)):
+                if signals.received or learners.may_be_full(2):
+                    return
+                learners.take_one(number, scene.receive_one(number))
+                scene.send_one(number, learners.act()[number])
+                learners.remember()
 
     def _restore(self, checkpoint: Checkpoint) -> bool:
         """Puts everything back; returns whether the running episodes go on."""
