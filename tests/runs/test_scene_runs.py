@@ -37,6 +37,7 @@ class Walkers:
     """As much of a ``Scene`` as a run needs: two agents in one player, with episodes of a length; 0 is for ever."""
 
     exchange_seconds, restarts = 0.0, 0
+    took_up_its_state = True
 
     def __init__(self, length: int = 3, says_its_state: bool = False, dies_after: int = 10**9) -> None:
         self.behaviors = {WALKER.name: WALKER}
