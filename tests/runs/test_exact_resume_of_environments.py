@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -76,16 +77,17 @@ gymnasium.register("Drawing-v0", Drawing)
 """
 
 
-def runs(folder: Path, port: int, served: list[str], settings: dict) -> tuple[PreparedRun, PreparedRun]:
+def write(folder: Path, port: int, served: list[str], settings: dict) -> Callable[[str], PreparedRun]:
+    """Makes runs of a name."""
     file = folder / "settings.yaml"
     file.write_text(yaml.safe_dump(settings))
     player = folder / "player"
-    player.write_text(f'#!/bin/sh\nPYTHONPATH="{folder}:$PYTHONPATH" exec {BIN / "corridor-server"} {" ".join(served)} "$@"\n')
+    player.write_text(
+        f'#!/bin/sh\nPYTHONPATH="{folder}:$PYTHONPATH" exec {BIN / "corridor-server"} {" ".join(served)} "$@"\n'
+    )
     player.chmod(0o755)
     options = (file, "--num-areas", 4, "--eval-episodes", 2, "--env", player)
-    whole, cut = (PreparedRun(folder, name, port, *options) for name in ("whole", "cut"))
-    assert whole.finish() == 0, whole.output
-    return whole, cut
+    return lambda name: PreparedRun(folder, name, port, *options)
 
 
 def kill(run: PreparedRun, steps: int) -> None:
@@ -97,7 +99,9 @@ def kill(run: PreparedRun, steps: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("what", RESTORED)
 def test_it_ends_as_the_one_that_was_not_killed(what, tmp_path, free_port):
-    whole, cut = runs(tmp_path, free_port, *RESTORED[what])
+    run_of = write(tmp_path, free_port, *RESTORED[what])
+    whole, cut = run_of("whole"), run_of("cut")
+    assert whole.finish() == 0, whole.output
     kill(cut, 600)
     assert cut.finish("--resume") == 0, cut.output
     assert NEW_EPISODES not in cut.output
@@ -109,7 +113,10 @@ def test_it_ends_as_the_one_that_was_not_killed(what, tmp_path, free_port):
 @pytest.mark.slow
 def test_where_episodes_cant_be_played_again_it_says_so_and_begins_new_ones(tmp_path, free_port):
     (tmp_path / "drawing.py").write_text(DRAWING)
-    whole, cut = runs(tmp_path, free_port, ["--gym", "drawing:Drawing-v0"], {"default_settings": SETTINGS})
+    cut = write(tmp_path, free_port, ["--gym", "drawing:Drawing-v0"], {"default_settings": SETTINGS})("cut")
     kill(cut, 600)
     assert cut.finish("--resume") == 0, cut.output
     assert NEW_EPISODES in cut.output
+    said = (cut.folder / "run_logs" / "Player-0.log").read_text()
+    assert "(played once more, its episodes are others): new episodes begin." in said
+    assert cut.summary()["env_steps"] == 1600
