@@ -30,7 +30,7 @@ Step = Mapping[str, tuple[NDArray[np.int32], ActionBatch]]  # by behavior, who a
 Begin = Callable[[int, int | None, Settings], object]  # an episode in this copy, with a seed and settings
 
 
-class Acted(NamedTuple):
+class ActionsTaken(NamedTuple):
     """What the agents of one behavior did, over all steps.
 
     Attributes:
@@ -43,10 +43,10 @@ class Acted(NamedTuple):
     ids: NDArray[np.int32]
     actions: ActionBatch
 
-    def of(self, ids: Sequence[int], step: int) -> "Acted":
+    def of(self, ids: Sequence[int], step: int) -> "ActionsTaken":
         """What these did from a step on."""
         mine = np.isin(self.ids, ids) & (self.steps >= step)
-        return Acted(
+        return ActionsTaken(
             self.steps[mine], self.ids[mine], ActionBatch(self.actions.continuous[mine], self.actions.discrete[mine])
         )
 
@@ -139,7 +139,7 @@ class RunningEpisodes:
         text = f"[{rest}, [{', '.join(each or 'null' for each in self._written)}]]"
         return np.frombuffer(text.encode(), OF_ANY_LENGTH)
 
-    def take_up(self, rows: NDArray[np.void], begin: Begin) -> tuple[dict[str, Acted], Mapping[str, Any]]:
+    def take_up(self, rows: NDArray[np.void], begin: Begin) -> tuple[dict[str, ActionsTaken], Mapping[str, Any]]:
         """Takes up what ``snapshot`` gave, and begins the episodes once more; their actions have still to be played.
 
         Args:
@@ -201,14 +201,14 @@ class RunningEpisodes:
                     return f"{name} is compiled code's, lives on in the next episode, and may remember the last one"
         return ""
 
-    def _acted(self) -> dict[str, Acted]:
+    def _acted(self) -> dict[str, ActionsTaken]:
         first = self._step - len(self._steps)
         parts: dict[str, list[tuple[int, NDArray[np.int32], ActionBatch]]] = {}
         for number, step in enumerate(self._steps, first):
             for name, (ids, actions) in step.items():
                 parts.setdefault(name, []).append((number, ids, actions))
         return {
-            name: Acted(
+            name: ActionsTaken(
                 np.repeat([number for number, _, _ in found], [len(ids) for _, ids, _ in found]),
                 np.concatenate([ids for _, ids, _ in found]),
                 ActionBatch(
@@ -249,7 +249,7 @@ def _told(agents: Agents) -> Iterable[NDArray[Any]]:
     return agents.ids, agents.rewards + agents.group_rewards, *agents.observations, *agents.masks
 
 
-def _by_steps(acted: Mapping[str, Acted], first: int, end: int) -> Sequence[Step]:
+def _by_steps(acted: Mapping[str, ActionsTaken], first: int, end: int) -> Sequence[Step]:
     steps: list[dict[str, tuple[NDArray[np.int32], ActionBatch]]] = [{} for _ in range(first, end)]
     for name, (numbers, ids, (continuous, discrete)) in acted.items():
         edges = np.searchsorted(numbers, np.arange(first, end + 1)).tolist()
@@ -259,13 +259,13 @@ def _by_steps(acted: Mapping[str, Acted], first: int, end: int) -> Sequence[Step
     return steps
 
 
-def _flat(acted: Acted) -> Iterable[NDArray[Any]]:
+def _flat(acted: ActionsTaken) -> Iterable[NDArray[Any]]:
     return acted.steps, acted.ids, *acted.actions
 
 
-def _unflat(parts: Sequence[Any]) -> Acted:
+def _unflat(parts: Sequence[Any]) -> ActionsTaken:
     steps, ids, continuous, discrete = map(array_of, parts)
-    return Acted(steps, ids, ActionBatch(continuous, discrete))
+    return ActionsTaken(steps, ids, ActionBatch(continuous, discrete))
 
 
 def _randoms_of_the_process() -> tuple[object, ...]:

@@ -154,6 +154,25 @@ def test_episodes_do_not_go_on_where_the_player_has_not_said_so_though_it_shows_
     assert "new episodes begin" in capsys.readouterr().out
 
 
+def test_episodes_do_not_go_on_where_the_player_has_refused_its_state_though_it_shows_the_same_again(
+    config, tmp_path, capsys
+):
+    class Refusing(Sightless):
+        took_up_its_state = True
+
+        def state_dict(self):
+            return {"lives": [0], "state_0": np.zeros(1, np.uint8)}
+
+    for name, takes_up in (("taken", True), ("refused", False)):
+        with pytest.raises(TrainerError, match="is gone"):
+            train(config, tmp_path / name, Refusing(says_its_state=True, dies_after=13))
+        again = Refusing(says_its_state=True)
+        again.took_up_its_state = takes_up
+        capsys.readouterr()
+        train(config, tmp_path / name, again, resume=True)
+        assert ("new episodes begin" in capsys.readouterr().out) != takes_up
+
+
 def test_returns_that_no_lesson_has_counted_yet_are_saved(config):
     learners, again = (BehaviorLearners(config, Walkers()) for _ in range(2))
     scene = Walkers(length=1)
