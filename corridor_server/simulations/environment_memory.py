@@ -117,7 +117,7 @@ class Memory:
         try:
             values = [holder[key] for _, holder, key in self._places]
             is_same = (
-                list(map(type, values)) == self._types
+                self._have_like_types(values)
                 and list(map(len, self._holders)) == self._sizes
                 and all(map(operator.is_, self._roots(), self._found))
                 and all(map(operator.is_, [holder[key] for holder, key in self._links], self._children))
@@ -128,6 +128,14 @@ class Memory:
             return values
         self._look()
         return [holder[key] for _, holder, key in self._places]
+
+    def _have_like_types(self, values: Sequence[Any]) -> bool:
+        """Whether none has become, or was, what is changed in place; None may become a number."""
+        types = list(map(type, values))
+        return types == self._types or all(
+            new is old or (issubclass(new, _PLAIN) and issubclass(old, _PLAIN))
+            for new, old in zip(types, self._types, strict=True)
+        )
 
     def _look(self) -> None:
         self._places: list[_Place] = []

@@ -94,9 +94,10 @@ class RunningEpisodes:
         before = None if former is None else former.settings or {}
         self._began[copy] = _Begun(self._step, seed, settings, before, self._memories[copy].now())
         self._written[copy] = None
-        oldest = min((each.step for each in self._began if each is not None), default=0)
-        while self._step - len(self._steps) < oldest:
-            self._steps.popleft()
+        if former is not None and former.step <= self._step - len(self._steps):  # it may have been the oldest
+            oldest = min(each.step for each in self._began if each is not None)
+            while self._step - len(self._steps) < oldest:
+                self._steps.popleft()
 
     def began_at(self, copy: int) -> int:
         """The step at which a copy's running episode began; 0 before its first one."""
