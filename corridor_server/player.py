@@ -11,7 +11,7 @@ from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import API_VERSION, MAX_AREAS, QUIT
 from corridor_server.protocol.side_channels import SideChannelError
 from corridor_server.protocol.visual_observations import PictureForm
-from corridor_server.simulations.simulation import Simulation, SimulationError
+from corridor_server.simulations.simulation import NotRestored, Simulation, SimulationError
 
 logger = logging.getLogger(__name__)
 
@@ -53,6 +53,7 @@ class Player:
         self._num_areas = num_areas
         self._compressed = compressed
         self._timing = TIMINGS[decision_timing]
+        self._refused = False  # whether a state could not be put back, of which the trainer was not told yet
 
     def run(self) -> None:
         """Plays until the trainer ends it with QUIT or a status other than 200.
@@ -115,6 +116,9 @@ class Player:
                 state = simulation.snapshot()
                 side_channel += b"" if state is None else side_channels.write_state(state)
                 state_wanted = False
+            if self._refused:
+                side_channel += side_channels.message(side_channels.AREA_STATE, b"")
+                self._refused = False
             message = wire.output(parts, side_channel, introduced, form, can.hybridActions)
             introduced |= asked.keys()
             reply = self._connection.exchange(message)
@@ -170,8 +174,13 @@ class Player:
         now = simulation.snapshot()
         if now is None:
             raise PlayerError("The trainer has a saved state to put back, but this player's simulation has none.")
-        simulation.restore(side_channels.read_state(payload, now))
-        logger.info("The areas go on where a saved run left them.")
+        try:
+            simulation.restore(side_channels.read_state(payload, now))
+        except NotRestored as error:
+            logger.warning("The saved state can't be put back (%s): new episodes begin.", error)
+            self._refused = True
+        else:
+            logger.info("The areas go on where a saved run left them.")
 
 
 def _check_ids(parts: Sequence[tuple[Behavior, Agents]]) -> None:

@@ -19,9 +19,11 @@ ENGINE_CONFIGURATION = uuid.UUID("e951342c-4f7e-11ea-b238-784f4387d1f7")
 ENVIRONMENT_PARAMETERS = uuid.UUID("534c891e-810f-11ea-a9d0-822485860400")
 STATISTICS = uuid.UUID("a1d8f7b7-cec8-50f9-b78b-d3e165a78520")
 TRAINING_ANALYTICS = uuid.UUID("b664a4a9-d86f-5a5f-95cb-e8353a7e8356")
-# Our own: an empty message asks for the areas' state, which comes with the answer; one with a state puts it back.
+# Our own: an empty message asks for the areas' state, which comes with the answer; one with a state puts it back, and
+# an empty answer says that this can't be done.
 AREA_STATE = uuid.UUID("5c0d1a3e-9b1f-4f7e-8a86-6f2f3c7d2b10")
 
+OF_ANY_LENGTH = np.dtype([("byte", np.uint8)])  # rows of a state that is as long as it gets
 # Setting -> its values' formats. A player without graphics or a clock has nothing to configure.
 ENGINE_SETTINGS = {
     0: ("resolution", "<2i"),
@@ -145,6 +147,8 @@ def read_state(payload: bytes, now: NDArray[np.void]) -> NDArray[np.void]:
         SideChannelError: It is another corridor's, or has numbers that are not finite.
     """
     layout = _layout(now.dtype)
+    if now.dtype == OF_ANY_LENGTH and payload[: len(layout)] == layout:
+        return np.frombuffer(payload, now.dtype, offset=len(layout))
     if payload[: len(layout)] != layout or len(payload) != len(layout) + now.nbytes:
         raise SideChannelError(
             f"The saved state of the areas has {len(payload)} bytes, but {len(layout) + now.nbytes} of a certain form "

@@ -50,6 +50,10 @@ class AgentArea(ABC):
         self._env = make(**arguments)
         self._taker = ParameterTaker("the environment", self._env, make, arguments, attributes, _spaces)
 
+    def parts(self) -> tuple[object, ...]:
+        """What remembers anything from one episode to the next."""
+        return self._env, self._taker
+
     @property
     def possible_agents(self) -> list[str]:
         """Every agent's name that there can be."""

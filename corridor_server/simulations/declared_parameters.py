@@ -53,6 +53,23 @@ class DeclaredParameters:
             for name, value in self._values.items()
         }
 
+    def state(self) -> dict[str, Any]:
+        """What is set, and where its samplers are, as plain values."""
+        states = {name: [each.bit_generator.state for each in rows] for name, rows in self._generators.items()}
+        return {"values": repr(self._values), "samplers": states}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Takes up where samplers were.
+
+        Raises:
+            ValueError: Other values are set.
+        """
+        if state["values"] != repr(self._values):
+            raise ValueError("other environment parameters were set")
+        for name, states in state["samplers"].items():
+            for generator, each in zip(self._generators[name], states, strict=True):
+                generator.bit_generator.state = each
+
 
 class ParameterTaker:
     """Brings an environment to what is set: attributes, and arguments with which it is made anew.

@@ -5,6 +5,7 @@ import signal
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from copy import deepcopy
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from corridor_server.simulations.declared_parameters import ParameterTaker
 from corridor_server.simulations.observation_sensors import ACTION_MASK, batched, check_shapes
-from corridor_server.simulations.simulation import SimulationError
+from corridor_server.simulations.simulation import NotRestored, SimulationError
 
 _CLOSING_SECONDS = 1.0  # for processes that are still at work
 
@@ -61,10 +62,12 @@ class Copies(ABC):
     Attributes:
         observation_space: Of one.
         action_space: Of one.
+        here: Those that are in this process.
     """
 
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
+    here: "CopiesHere | None" = None
 
     @abstractmethod
     def step(self, actions: Any) -> Stepped:
@@ -119,7 +122,10 @@ class CopiesHere(Copies):
                     f"Copy {number} of the environment has other spaces than copy 0, but a trainer is told of one "
                     "behavior; make the spaces depend on nothing but the environment's arguments."
                 )
-        self._actions = batch_space(self.action_space, count)
+        # Of a copy, as batches of a space make it a random generator, which would be the environment's.
+        self._action_space = deepcopy(self.action_space)
+        self._actions = batch_space(self._action_space, count)
+        self.here = self
 
     def step(self, actions: Any) -> Stepped:
         """Steps one after the other."""
@@ -140,13 +146,36 @@ class CopiesHere(Copies):
         """Resets one after the other."""
         observations, masks = [], []
         for row in which.nonzero()[0].tolist():
-            env = self.envs[row]
-            if settings is not None:
-                env.set_wrapper_attr(_SETTINGS, settings[row])
-            observation, info = env.reset(seed=seeds[row], options=None)
+            observation, info = self.begin(row, seeds[row], None if settings is None else settings[row])
             observations.append(observation)
             masks.append(info.get(ACTION_MASK))
         return Begun(batched(self.observation_space, observations), masks)
+
+    def begin(self, row: int, seed: int | None, settings: Settings | None) -> tuple[Any, Mapping[str, Any]]:
+        """Resets one; returns what it tells."""
+        env = self.envs[row]
+        if settings is not None:
+            env.set_wrapper_attr(_SETTINGS, settings)
+        began: tuple[Any, Mapping[str, Any]] = env.reset(seed=seed, options=None)
+        return began
+
+    def play(self, row: int, actions: Any, count: int) -> tuple[Any, Any, Mapping[str, Any]]:
+        """Steps one alone; returns the observation, reward and info of the last step, which did not end the episode.
+
+        Args:
+            row: Which.
+            actions: A batch of the action space's.
+            count: How many; at least one.
+
+        Raises:
+            NotRestored: The episode ended.
+        """
+        observation = reward = info = None
+        for action in iterate(batch_space(self._action_space, count), actions):
+            observation, reward, terminated, truncated, info = self.envs[row].step(action)
+            if terminated or truncated:
+                raise NotRestored("played once more, an episode ends that had not")
+        return observation, _number(reward), info or {}
 
     def close(self) -> None:
         """Closes every one, also where another can't be closed."""

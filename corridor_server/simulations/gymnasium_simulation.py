@@ -14,13 +14,30 @@ from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
+from corridor_server.protocol.side_channels import OF_ANY_LENGTH
 from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.declared_parameters import DeclaredParameters
-from corridor_server.simulations.gymnasium_copies import Copies, CopiesHere, CopiesInProcesses, Settable, Wrap
-from corridor_server.simulations.observation_sensors import WHOLE, ObservationSensors, check_finite
+from corridor_server.simulations.environment_memory import Memory
+from corridor_server.simulations.gymnasium_copies import (
+    Copies,
+    CopiesHere,
+    CopiesInProcesses,
+    Settable,
+    Settings,
+    Wrap,
+)
+from corridor_server.simulations.observation_sensors import (
+    ACTION_MASK,
+    WHOLE,
+    ObservationSensors,
+    batched,
+    check_finite,
+)
+from corridor_server.simulations.running_episodes import RunningEpisodes, not_restored, other_seeds
 from corridor_server.simulations.simulation import (
     Moment,
+    NotRestored,
     Simulation,
     SimulationError,
     Statistics,
@@ -102,11 +119,11 @@ class GymnasiumSimulation(Simulation):
     """
 
     def __init__(self, environment: GymnasiumEnvironment, seed: int, num_areas: int) -> None:
-        self._name = environment.name
+        self._name, self._environment = environment.name, environment
         self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
         self._parameters = DeclaredParameters(environment.declared, range(num_areas))
         self._set = False  # whether a parameter was
-        self._copies = environment.make(num_areas)
+        self._copies, self._episodes = self._made(num_areas)
         self._sensors = ObservationSensors(self._copies.observation_space, self._name)
         self._choices = ActionChoices(self._copies.action_space, self._name)
         behavior = f"{self._name.rpartition(':')[2]}?team=0"
@@ -126,11 +143,11 @@ class GymnasiumSimulation(Simulation):
         """Sets an argument or an attribute, from the next episode on."""
         if self._parameters.set(name, value):
             self._set = True
-            self._begun_by_end[:] = False
+            self._begun_by_end[:] = self.restored = False
 
     def reset(self) -> Moment:
         """Begins an episode in every copy, but where one has just begun by itself."""
-        which = ~self._begun_by_end
+        which = ~self._begun_by_end & (not self.restored)
         if self._last is None:
             observations, masks = self._begin(which)
             self._last = Agents.that_ask(self._ids, observations, np.zeros(len(self._ids)), masks)
@@ -143,6 +160,9 @@ class GymnasiumSimulation(Simulation):
 
     def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Steps every copy, and resets those whose episode ended."""
+        self.restored = False
+        if self._episodes is not None:
+            self._episodes.act({self._behavior.name: self._ids}, actions)
         batch = self._choices.read(actions[self._behavior.name])
         with blaming(f"{self._name} failed in a step"):
             told = self._copies.step(batch)
@@ -158,9 +178,73 @@ class GymnasiumSimulation(Simulation):
         self._last = agents
         return {self._behavior.name: agents}, {}
 
+    def snapshot(self) -> NDArray[np.void] | None:
+        """The running episodes, to be played again; None where copies have processes, or it can't be done."""
+        if self._episodes is None:
+            return None
+        if self._last is None:
+            return np.empty(0, OF_ANY_LENGTH)
+        extra = {"masked": self._masked, "parameters": self._parameters.state()}
+        return self._episodes.snapshot({self._behavior.name: self._last.deciding}, extra)
+
+    def restore(self, rows: NDArray[np.void]) -> None:
+        """Plays the episodes again.
+
+        Raises:
+            NotRestored: They can't be, or are others then.
+        """
+        try:
+            self._play_again(rows)
+        except Exception as error:  # whatever an author's code raises
+            self._renew()
+            self._seeds = other_seeds(rows, len(self._ids))
+            raise not_restored(error) from error
+        self.restored = True
+
     def close(self) -> None:
         """Closes every copy."""
         try_to_close(self._name, self._copies.close)
+
+    def _play_again(self, rows: NDArray[np.void]) -> None:
+        if self._last is not None:
+            self._renew()
+        here, episodes = self._copies.here, self._episodes
+        if here is None or episodes is None:
+            raise NotRestored("its copies have processes of their own")
+        count = len(self._ids)
+        told: list[tuple[Any, Any, Mapping[str, Any]]] = [(None, 0.0, {})] * count
+
+        def begin(row: int, seed: int | None, settings: Settings | None) -> None:
+            observation, info = here.begin(row, seed, settings)
+            told[row] = observation, 0.0, info
+
+        acted, saved = episodes.take_up(rows, begin)
+        for row in range(count):
+            for done in acted.values():
+                mine = done.of([row], episodes.began_at(row))
+                if len(mine.ids):
+                    told[row] = here.play(row, self._choices.read(mine.actions), len(mine.ids))
+        self._masked = saved["masked"]
+        batch = batched(self._copies.observation_space, [observation for observation, _, _ in told])
+        said = [info.get(ACTION_MASK) for _, _, info in told]
+        observations, masks = self._read(batch, said, self._ids, np.zeros(count, np.bool_))
+        last = Agents.that_ask(self._ids, observations, [reward for _, reward, _ in told], masks)
+        episodes.check({self._behavior.name: last}, saved)
+        self._parameters.restore(saved["parameters"])
+        self._last, self._seeds = last, [None] * count
+
+    def _renew(self) -> None:
+        """Makes the copies anew."""
+        self.close()
+        self._copies, self._episodes = self._made(len(self._ids))
+        self._last, self._masked = None, False
+
+    def _made(self, count: int) -> tuple[Copies, RunningEpisodes | None]:
+        made, of = self._environment.make(count), self._environment
+        if made.here is None:
+            return made, None
+        identity = (of.name, sorted(of.arguments.items()), of.wrappers, of.parameters, of.camera)
+        return made, RunningEpisodes(identity, [Memory(partial(tuple, [env])) for env in made.here.envs])
 
     def _with_ended(self, last: Agents, ended: NDArray[np.bool_], interrupted: NDArray[np.bool_]) -> Agents:
         """Puts those that ended before all, which are in their next episode where they did."""
@@ -177,6 +261,9 @@ class GymnasiumSimulation(Simulation):
             settings = None
             if self._set:
                 settings = [self._parameters.draw(row) if which[row] else None for row in range(len(which))]
+            if self._episodes is not None:
+                for row in which.nonzero()[0].tolist():
+                    self._episodes.begin(row, self._seeds[row], None if settings is None else settings[row])
             told = self._copies.reset(which, self._seeds, settings)
             ids = self._ids[which]
             begun = self._read(told.observations, told.masks, ids, np.zeros(len(ids), np.bool_))

@@ -2,7 +2,8 @@
 
 import importlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -13,11 +14,14 @@ from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
+from corridor_server.protocol.side_channels import OF_ANY_LENGTH
 from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
 from corridor_server.simulations.declared_parameters import DeclaredParameters
+from corridor_server.simulations.environment_memory import Memory
 from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite
+from corridor_server.simulations.running_episodes import RunningEpisodes, not_restored, other_seeds
 from corridor_server.simulations.simulation import (
     Moment,
     Simulation,
@@ -116,7 +120,7 @@ class PettingZooSimulation(Simulation):
 
     def __init__(self, environment: PettingZooEnvironment, seed: int, num_areas: int) -> None:
         self._environment = environment
-        self._areas = [environment.area() for _ in range(num_areas)]
+        self._areas, self._episodes = self._made(num_areas)
         self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
         numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
         self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
@@ -128,6 +132,7 @@ class PettingZooSimulation(Simulation):
         self._check_names()
         # Per behavior's full name, who asked in the last moment, as area and agent; in their order.
         self._asked: dict[str, list[tuple[int, str]]] = {}
+        self._last: Moment = {}
         self.acts_when_idle = not isinstance(self._areas[0], TurnsArea)
         self._moved = np.ones(num_areas, np.bool_)  # areas whose running episode is not as it began by itself
 
@@ -140,12 +145,13 @@ class PettingZooSimulation(Simulation):
         """Sets an argument or an attribute, from the next episode on."""
         if self._parameters.set(name, value):
             self._moved[:] = True
+            self.restored = False
 
     def reset(self) -> Moment:
         """Begins an episode in every copy, but where one has just begun by itself."""
         events = []
         for number, area in enumerate(self._areas):
-            if self._moved[number]:
+            if self._moved[number] and not self.restored:
                 self._begin(number)
             events += [(number, event) for event in area.asking()]
         self._moved[:] = True  # it began by this reset
@@ -153,16 +159,15 @@ class PettingZooSimulation(Simulation):
 
     def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Gives every agent that asked its action, and begins an episode where none of its agents is left."""
+        self.restored = False
+        asking = {name: agents.deciding.ids for name, agents in self._last.items() if self._asked[name]}
+        self._episodes.act(asking, actions)
         chosen: list[dict[str, Any]] = [{} for _ in self._areas]
         for name, asked in self._asked.items():
-            role = self._role_of[asked[0][1]] if asked else None
-            if role is not None:
-                batch = role.choices.read(actions[name])
-                for (number, agent), action in zip(
-                    asked, iterate(batch_space(role.action_space, len(asked)), batch), strict=True
-                ):
+            if asked:
+                for (number, agent), action in zip(asked, self._read(asked[0][1], actions[name]), strict=True):
                     chosen[number][agent] = action
-        ended, asking = [], []
+        ended, asks = [], []
         for number, area in enumerate(self._areas):
             with blaming(f"{self._environment.module} failed in a step"):
                 ended += [(number, event) for event in area.step(chosen[number])]
@@ -170,8 +175,28 @@ class PettingZooSimulation(Simulation):
             if area.is_over():
                 self._begin(number)
                 self._moved[number] = False
-            asking += [(number, event) for event in area.asking()]
-        return self._told([*ended, *asking], "a step"), {}
+            asks += [(number, event) for event in area.asking()]
+        return self._told([*ended, *asks], "a step"), {}
+
+    def snapshot(self) -> NDArray[np.void] | None:
+        """The running episodes, to be played again; None if that can't be done."""
+        if not self._last:
+            return np.empty(0, OF_ANY_LENGTH)
+        return self._episodes.snapshot(self._last, {"parameters": self._parameters.state()})
+
+    def restore(self, rows: NDArray[np.void]) -> None:
+        """Plays the episodes again.
+
+        Raises:
+            NotRestored: They can't be, or are others then.
+        """
+        try:
+            self._play_again(rows)
+        except Exception as error:  # whatever an author's code raises
+            self._renew()
+            self._seeds = other_seeds(rows, len(self._areas))
+            raise not_restored(error) from error
+        self.restored = True
 
     def close(self) -> None:
         """Closes every copy."""
@@ -180,8 +205,52 @@ class PettingZooSimulation(Simulation):
 
     def _begin(self, number: int) -> None:
         seed, self._seeds[number] = self._seeds[number], None  # a later episode goes on with its random numbers
+        settings = self._parameters.draw(number)
         with blaming(f"{self._environment.module} failed in a reset"):
-            self._areas[number].reset(seed, self._parameters.draw(number))
+            self._episodes.begin(number, seed, settings)
+            self._areas[number].reset(seed, settings)
+
+    def _play_again(self, rows: NDArray[np.void]) -> None:
+        if self._last:
+            self._renew()
+        acted, saved = self._episodes.take_up(
+            rows, lambda number, seed, settings: self._areas[number].reset(seed, settings or {})
+        )
+        for number, area in enumerate(self._areas):
+            ids = range(number * len(self._names), (number + 1) * len(self._names))
+            chosen: dict[int, dict[str, Any]] = {}  # by step
+            for done in acted.values():
+                mine = done.of(ids, self._episodes.began_at(number))
+                agents = [self._names[each - ids.start] for each in mine.ids.tolist()]
+                actions = self._read(agents[0], mine.actions) if agents else ()
+                for step, agent, action in zip(mine.steps.tolist(), agents, actions, strict=True):
+                    chosen.setdefault(step, {})[agent] = action
+            for step in sorted(chosen):
+                area.step(chosen[step])
+        self._told([(number, event) for number, area in enumerate(self._areas) for event in area.asking()], "a reset")
+        self._episodes.check(self._last, saved)
+        self._parameters.restore(saved["parameters"])
+        self._seeds = [None] * len(self._areas)
+
+    def _renew(self) -> None:
+        """Makes the copies anew."""
+        self.close()
+        self._areas, self._episodes = self._made(len(self._areas))
+        self._last, self._asked = {}, {}
+        self._moved[:] = True
+
+    def _made(self, count: int) -> tuple[list[AgentArea], RunningEpisodes]:
+        of = self._environment
+        areas = [of.area() for _ in range(count)]
+        identity = (of.module, sorted(of.arguments.items()), of.parameters)
+        return areas, RunningEpisodes(identity, [Memory(area.parts) for area in areas])
+
+    def _read(self, agent: str, actions: ActionBatch) -> Iterator[Any]:
+        """The actions of agents in this one's role, one by one."""
+        role = self._role_of[agent]
+        count = len(actions.discrete)
+        one_by_one: Iterator[Any] = iterate(batch_space(role.action_space, count), role.choices.read(actions))
+        return one_by_one
 
     def _told(self, events: Sequence[tuple[int, Event]], when: str) -> Moment:
         """The moment of what the environments said, which may be anything."""
@@ -198,12 +267,13 @@ class PettingZooSimulation(Simulation):
                 )
             of_roles[self._environment.behavior(event.agent)].append((number, event))
         self._asked = {}
-        moment = {}
+        moment: dict[str, Agents] = {}
         for index, (name, found) in enumerate(of_roles.items()):
             full_name = self._roles[name].behavior.name
             self._asked[full_name] = [(number, event.agent) for number, event in found if not event.ended]
             if found:
                 moment[full_name] = self._agents(self._roles[name], index, found)
+        self._last = moment
         return moment
 
     def _agents(self, role: _Role, index: int, found: Sequence[tuple[int, Event]]) -> Agents:
@@ -288,5 +358,6 @@ def _roles(environment: PettingZooEnvironment, area: AgentArea) -> dict[str, _Ro
         full_name = f"{name}?team={environment.teams.get(name, 0)}"
         behavior = Behavior(full_name, sensors.sensors, choices.continuous, choices.branches)
         grouped = name in environment.groups or EVERY_BEHAVIOR in environment.groups
-        roles[name] = _Role(behavior, sensors, choices, observed, action, grouped)
+        # A copy, as batches of a space make it a random generator, which would be the environment's.
+        roles[name] = _Role(behavior, sensors, choices, observed, deepcopy(action), grouped)
     return roles

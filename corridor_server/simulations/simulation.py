@@ -21,6 +21,10 @@ class SimulationError(Exception):
     """The simulation can't be played, or not any further; the message is for the user."""
 
 
+class NotRestored(Exception):
+    """A saved state can't be taken up, and nothing has changed; the message says why."""
+
+
 def failed(what: str, error: BaseException) -> SimulationError:
     """What is said of an author's code that raised: one sentence with the error's own words."""
     said = " ".join(str(error).split())[:300]
@@ -106,7 +110,11 @@ class Simulation(ABC):
         return None
 
     def restore(self, rows: NDArray[np.void]) -> None:
-        """Takes up what ``snapshot`` gave."""
+        """Takes up what ``snapshot`` gave.
+
+        Raises:
+            NotRestored: It can't: new episodes begin.
+        """
         raise NotImplementedError
 
     def close(self) -> None:  # noqa: B027 - most have nothing to end

@@ -37,6 +37,7 @@ class Walkers:
     """As much of a ``Scene`` as a run needs: two agents in one player, with episodes of a length; 0 is for ever."""
 
     exchange_seconds, restarts = 0.0, 0
+    took_up_its_state = True
 
     def __init__(self, length: int = 3, says_its_state: bool = False, dies_after: int = 10**9) -> None:
         self.behaviors = {WALKER.name: WALKER}
@@ -151,6 +152,25 @@ def test_episodes_do_not_go_on_where_the_player_has_not_said_so_though_it_shows_
         train(config, tmp_path / "r", Sightless(dies_after=13))
     train(config, tmp_path / "r", Sightless(), resume=True)
     assert "new episodes begin" in capsys.readouterr().out
+
+
+def test_episodes_do_not_go_on_where_the_player_has_refused_its_state_though_it_shows_the_same_again(
+    config, tmp_path, capsys
+):
+    class Refusing(Sightless):
+        took_up_its_state = True
+
+        def state_dict(self):
+            return {"lives": [0], "state_0": np.zeros(1, np.uint8)}
+
+    for name, takes_up in (("taken", True), ("refused", False)):
+        with pytest.raises(TrainerError, match="is gone"):
+            train(config, tmp_path / name, Refusing(says_its_state=True, dies_after=13))
+        again = Refusing(says_its_state=True)
+        again.took_up_its_state = takes_up
+        capsys.readouterr()
+        train(config, tmp_path / name, again, resume=True)
+        assert ("new episodes begin" in capsys.readouterr().out) != takes_up
 
 
 def test_returns_that_no_lesson_has_counted_yet_are_saved(config):

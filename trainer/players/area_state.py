@@ -21,11 +21,13 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
 
     Attributes:
         state: The player's last answer; None if it gave none.
+        is_refused: Whether the player has said that it can't take up the state it was given.
     """
 
     def __init__(self, restored: bytes | None = None) -> None:
         super().__init__(AREA_STATE)
         self.state: bytes | None = None
+        self.is_refused = False
         self._asked = self._known = False
         if restored is not None:
             self._send(restored)
@@ -43,8 +45,12 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         self._send(b"")
 
     def on_message_received(self, message: IncomingMessage) -> None:
-        """Takes the player's state."""
-        self._known, self.state = True, bytes(message.get_raw_bytes())
+        """Takes the player's state; an empty one is its refusal."""
+        answer = bytes(message.get_raw_bytes())
+        if not answer:
+            self.is_refused = True
+            return
+        self._known, self.state = True, answer
 
     def _send(self, payload: bytes) -> None:
         message = OutgoingMessage()

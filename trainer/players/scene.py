@@ -123,6 +123,11 @@ class Scene:
         """Whether every player has shown that it can write down what its areas are doing."""
         return all(player.state.is_known for player in self._players)
 
+    @property
+    def took_up_its_state(self) -> bool:
+        """Whether no player has said that it can't go on from the state that it was opened with."""
+        return not any(player.state.is_refused for player in self._players)
+
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Has every player set environment parameters; whoever opens one that takes a dead one's place, sets its own.
 

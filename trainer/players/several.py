@@ -121,7 +121,8 @@ class Players(Slots):
         """
         if any(f"state_{number}" not in state for number in range(len(self._players))):
             return False
-        return np.array_equal(np.asarray(self.reset()), state["observations"])  # else one that ignores the channel
+        is_same = np.array_equal(np.asarray(self.reset()), state["observations"])  # else one that ignores the channel
+        return is_same and not any(player.state.is_refused for player in self._players)
 
     def reset(self) -> VecEnvObs:
         """Begins an episode in every slot."""

@@ -145,6 +145,7 @@ class SceneTraining:
         said = checkpoint.part("players")
         goes_on = (
             all(f"state_{number}" in said for number in range(len(self._scene)))  # or what is alike is so by chance
+            and self._scene.took_up_its_state
             and saved.keys() == found.keys()
             and all(np.array_equal(saved[name], found[name]) for name in saved)
         )
