@@ -83,7 +83,7 @@ def test_updates_are_those_of_torch_parameter_by_parameter(kind, masked, heads):
     taken, rng = decided(theirs, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, heads)))
     nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, nothing, nothing, nothing, nothing, nothing.astype(bool))
+    transitions = Transitions(seen, taken, (), advantage, (), nothing, nothing, nothing, nothing, nothing.astype(bool))
     settings = PPOHyperparameters(batch_size=20, learning_rate=3e-3, beta=0.02, epsilon=0.1)
     updates = (
         PPOUpdate(theirs, settings),
@@ -111,7 +111,7 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
     taken, rng = decided(policy, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, 1)))
     nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, nothing, nothing, nothing, nothing, nothing.astype(bool))
+    transitions = Transitions(seen, taken, (), advantage, (), nothing, nothing, nothing, nothing, nothing.astype(bool))
     settings = PPOHyperparameters(batch_size=20)
     first = PPOUpdate(policy, settings, LeanActorCritic(policy, (3, 2)))
     first.update(transitions, advantage, returns, returns[:, 0] * 0.5, 0.0, batches(2))

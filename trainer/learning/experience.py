@@ -16,7 +16,7 @@ from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observe
 
 Agent = tuple[int, str, int]  # player, full name of the behavior, id
 _NONE = -1
-_OF_A_SLOT = ("open", "last", "age", "lengths", "episode")
+_OF_A_SLOT = ("open", "last", "asked", "age", "lengths", "episode")
 
 
 class Experience:
@@ -55,19 +55,14 @@ class Experience:
         self._agents: dict[Agent, int] = {}
         self._free: list[int] = []
         self._episodes = 0  # numbers given so far
-        # By slot, one for each agent in an episode: its open transition, and the one before; -1 for none. Of its
-        # trajectory and its episode, what there is so far.
+        # By slot, one for each agent in an episode: its open transition, the one before, and the observation that it
+        # asked with last; -1 for none. Of its trajectory and its episode, what there is so far.
         self._slots: dict[str, NDArray[Any]] = {name: np.zeros(0, np.intp) for name in _OF_A_SLOT}
         self._slots["totals"] = np.zeros(0)
 
     def __len__(self) -> int:
         """How many transitions there are, closed and open."""
         return len(self._columns["rewards"])
-
-    @property
-    def observations(self) -> tuple[Singles, ...]:
-        """All that is kept, of each sensor (rows, *shape); views."""
-        return tuple(each.used for each in self._observations)
 
     def begin_anew(self, player: int) -> None:
         """Forgets the running episodes of a player that says no more of them."""
@@ -103,7 +98,7 @@ class Experience:
                 self._drop(slot)
         return transitions
 
-    def ask(self, player: int, behavior: str, agents: Agents, observed: Observed) -> "Asking":
+    def ask(self, player: int, behavior: str, agents: Agents, observed: Observed, again: bool = False) -> "Asking":
         """Closes the transitions of agents that ask for their next decision, and takes what they observe.
 
         Args:
@@ -111,6 +106,7 @@ class Experience:
             behavior: Their full name, with the team.
             agents: Those that ask.
             observed: What they observe, as a policy takes it.
+            again: Whether this was taken before: of a run that goes on where it was saved.
         """
         known = self._agents
         slots = np.array(
@@ -122,7 +118,8 @@ class Experience:
             ],
             np.intp,
         )
-        rows = self._see(observed)
+        rows = self._slots["asked"][slots] if again else self._see(observed)
+        self._slots["asked"][slots] = rows
         going_on = self._slots["open"][slots] >= 0
         if going_on.any():
             chosen = slots[going_on]
@@ -171,6 +168,8 @@ class Experience:
         previous = columns["previous"][closed]
         previous = np.where(previous >= 0, place[previous], _NONE)
         seen, next_seen = columns["seen"][closed], columns["next_seen"][closed]
+        used, places = np.unique(np.concatenate((seen, next_seen)), return_inverse=True)
+        seen_place, next_seen_place = np.split(places, 2)
         taken = Transitions(
             Observed(
                 tuple(each.used[seen] for each in self._observations),
@@ -179,8 +178,9 @@ class Experience:
             Decided(*(columns[name][closed] for name in ("continuous", "discrete", "log_probs"))),
             tuple(each.used[next_seen] for each in self._observations),
             columns["rewards"][closed],
-            seen,
-            next_seen,
+            tuple(each.used[used] for each in self._observations),
+            seen_place,
+            next_seen_place,
             previous,
             columns["episodes"][closed],
             columns["terminated"][closed],
@@ -225,7 +225,8 @@ class Experience:
                 self._slots[name] = np.concatenate([former, np.full(more, _NONE, former.dtype)])
         slot = self._free.pop()
         self._agents[agent] = slot
-        self._slots["open"][slot] = self._slots["last"][slot] = _NONE
+        for name in ("open", "last", "asked"):
+            self._slots[name][slot] = _NONE
         self._slots["age"][slot] = self._slots["lengths"][slot] = 0
         self._slots["totals"][slot] = 0.0
         self._slots["episode"][slot] = self._episodes
@@ -277,12 +278,14 @@ class Experience:
         columns["seen"].used[:] = np.arange(len(kept))
         columns["previous"].used[:] = _NONE
         slots["open"][waiting] = np.arange(len(kept))
-        slots["last"][:] = _NONE
+        slots["last"][:] = slots["asked"][:] = _NONE
         slots["age"][:] = 0
         self.closed = 0
         moved, start = [], len(kept)
         for asking_slots, former in asking:
-            moved.append(Asking(asking_slots, np.arange(start, start + len(former))))
+            places = np.arange(start, start + len(former))
+            slots["asked"][asking_slots] = places
+            moved.append(Asking(asking_slots, places))
             start += len(former)
         return moved
 

@@ -150,7 +150,7 @@ class Learner(ABC):
             self._end(player, behavior, ended)
         if asking is not None:
             observed = self._observed(asking)
-            asked = self.experience.ask(player, behavior, asking, observed)
+            asked = self.experience.ask(player, behavior, asking, observed, again)
             self._waiting.append(_Waiting(player, behavior, observed, asked))
 
     def act(self) -> dict[tuple[int, str], ActionBatch]:

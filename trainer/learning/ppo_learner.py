@@ -77,10 +77,10 @@ class PPOLearner(Learner):
 
     def learn(self) -> None:
         """Makes an update of what was taken; agents that wait are decided for with the new policy."""
-        worth = self._values(self.experience.observations)
-        self._check_finite(worth)
         progress = self.progress
         transitions = self._take_closed()
+        worth = self._values(transitions.all_observations)
+        self._check_finite(worth)
         values, next_values = worth[transitions.seen], worth[transitions.next_seen]
         next_values[transitions.terminated] *= self._after_end
         rewards = self._rewards(transitions)

@@ -66,7 +66,9 @@ class Transitions:
         decided: What they did.
         next_observations: What they saw then; at an episode's end its own last observations.
         rewards: Of the environment, an agent's own and its group's, (n,) float32.
-        seen: Where what they saw is among all observations that were kept, (n,).
+        all_observations: Every observation that is among them once, of each sensor (m, *shape) float32: most of what
+            was seen then was acted on next.
+        seen: Where what they saw is in them, (n,).
         next_seen: Where what they saw then is, (n,).
         previous: The transition before in the same trajectory, (n,); -1 where one begins.
         episodes: A number for each agent's episode, (n,).
@@ -77,6 +79,7 @@ class Transitions:
     decided: Decided
     next_observations: tuple[Singles, ...]
     rewards: Singles
+    all_observations: tuple[Singles, ...]
     seen: Indices
     next_seen: Indices
     previous: Indices

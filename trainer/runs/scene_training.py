@@ -126,10 +126,8 @@ class SceneTraining:
         learners, scene = self.learners, self._scene
         if len(scene) == 1 or self.curricula.are_taught:
             return
-        while True:
+        while not (signals.received or learners.may_be_full(2)):  # in this round, and in the messages after it
             for number in range(len(scene)):
-                if signals.received or learners.may_be_full(2):
-                    return
                 learners.take_one(number, scene.receive_one(number))
                 scene.send_one(number, learners.act()[number])
                 learners.remember()
