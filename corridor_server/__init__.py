@@ -5,9 +5,38 @@
 ``corridor.gym_env`` is the same world in process, and the oracle that the player is tested against.
 """
 
-from importlib.util import find_spec
+import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
 
-if find_spec("gymnasium") is not None:  # the player runs without it
+
+def _register() -> None:
     from gymnasium.envs.registration import register
 
     register(id="Corridor-v0", entry_point="corridor_server.corridor.gym_env:CorridorEnv")
+
+
+class _RegisterWithGymnasium:
+    """Registers ``Corridor-v0`` once somebody imports Gymnasium, which takes long and is not needed by all."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Gymnasium's own, whose end is awaited; None of all else."""
+        if name != "gymnasium":
+            return None
+        spec = PathFinder.find_spec(name, path)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: ModuleType) -> None:
+                execute(module)
+                _register()
+
+            vars(spec.loader)["exec_module"] = execute_and_register
+        return spec
+
+
+if sys.modules.get("gymnasium") is not None:  # gymnasium.make("corridor_server:Corridor-v0") imports this
+    _register()
+else:
+    sys.meta_path.insert(0, _RegisterWithGymnasium())

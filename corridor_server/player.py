@@ -8,9 +8,10 @@ from corridor_server.connection import Connection, ConnectionBroken, ConnectionF
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
 from corridor_server.protocol.agents import Agents, Behavior
-from corridor_server.protocol.messages import API_VERSION, MAX_AREAS, QUIT
+from corridor_server.protocol.messages import API_VERSION, QUIT
 from corridor_server.protocol.side_channels import SideChannelError
 from corridor_server.protocol.visual_observations import PictureForm
+from corridor_server.shared.given import MAX_AREAS
 from corridor_server.simulations.simulation import NotRestored, Simulation, SimulationError
 
 logger = logging.getLogger(__name__)

@@ -10,9 +10,8 @@ from typing import Any
 
 from corridor_server.decision_timing import TIMINGS
 from corridor_server.protocol.agents import Behavior
-from corridor_server.protocol.messages import MAX_AREAS
 from corridor_server.shared.addresses import LOOPBACK, PORTS, parse_host
-from corridor_server.shared.given import Range, shown
+from corridor_server.shared.given import MAX_AREAS, Range, shown
 
 EDITOR_PORT = 5004
 SEEDS = Range(-(2**31), 2**31 - 1)  # what the protocol carries

@@ -1,37 +1,32 @@
 """The commands of ``corridor``, and what becomes of what is typed."""
 
 import dataclasses
+import operator
 import shlex
-from typing import Annotated
+import sys
+from functools import reduce
+from importlib import import_module
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import subcommand
 
-from trainer.commands.bench import Bench
-from trainer.commands.check import Check
-from trainer.commands.evaluate import Evaluate
-from trainer.commands.export import Export
-from trainer.commands.replay import Replay
-from trainer.commands.study import StudyCommand
-from trainer.commands.train import Train
-from trainer.commands.watch import Watch
 from trainer.errors import TrainerError
 from trainer.signals import INTERRUPTED
-from trainer.terminal import Terminal
 
 ENV_ARGS = "--env-args"
-MARKERS = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-
-Command = (
-    Annotated[Train, subcommand("train")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[StudyCommand, subcommand("study")]
-    | Annotated[Export, subcommand("export")]
-    | Annotated[Replay, subcommand("replay")]
-    | Annotated[Watch, subcommand("watch")]
-    | Annotated[Check, subcommand("check")]
-    | Annotated[Bench, subcommand("bench")]
-)
+MARKERS = (tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff, tyro.conf.OmitArgPrefixes)
+# Each in the module of its name.
+COMMANDS = {
+    "train": "Train",
+    "evaluate": "Evaluate",
+    "study": "StudyCommand",
+    "export": "Export",
+    "replay": "Replay",
+    "watch": "Watch",
+    "check": "Check",
+    "bench": "Bench",
+}
 
 
 def run_command(arguments: list[str]) -> int:
@@ -40,26 +35,44 @@ def run_command(arguments: list[str]) -> int:
     if given:  # what follows is the player's, dashes and all, as with mlagents-learn
         at = arguments.index(ENV_ARGS)
         arguments, env_args = arguments[:at], arguments[at + 1 :]
-    console = Terminal(stderr=True)
     try:
-        command = tyro.cli(Command, prog="corridor", args=arguments, config=MARKERS)
-        if isinstance(command, Train) and (over := command.over_its_file()) is not None:
-            command = tyro.cli(Train, prog="corridor train", args=arguments[1:], default=over, config=MARKERS)
-        if given and isinstance(command, Train | Check):
+        command = _parse(arguments)
+        if arguments[0] == "train" and (over := command.over_its_file()) is not None:
+            command = _parse(arguments, default=over)
+        if given and hasattr(command, "env_args"):
             command = dataclasses.replace(command, env_args=tuple(env_args))
         elif given:
             raise TrainerError(
                 f"{ENV_ARGS} is for corridor train and check, and a run keeps what it was trained with; leave it out, "
                 "with all that follows it."
             )
-        return command.run(shlex.join(["corridor", *arguments]))
+        code: int = command.run(shlex.join(["corridor", *arguments]))
+        return code
     except TrainerError as error:
-        console.print_failure("error:", str(error))
-        return 1
+        return _fail(str(error))
     except OSError as error:
         of = f" {error.filename}" if error.filename else ""
-        console.print_failure("error:", f"The system refuses{of}: {error.strerror or error}.")
-        return 1
+        return _fail(f"The system refuses{of}: {error.strerror or error}.")
     except KeyboardInterrupt:
-        console.print("Stopped.")
+        print("Stopped.", file=sys.stderr)
         return INTERRUPTED
+
+
+def _fail(text: str) -> int:
+    from trainer.terminal import Terminal
+
+    Terminal(stderr=True).print_failure("error:", text)
+    return 1
+
+
+def _parse(arguments: list[str], **options: Any) -> Any:
+    """The command that is typed. Only its own module is read if it is one: each takes a while."""
+    name = arguments[0] if arguments else ""
+    if name in COMMANDS:
+        return tyro.cli(_kind(name), prog=f"corridor {name}", args=arguments[1:], config=MARKERS, **options)
+    every: Any = reduce(operator.or_, (Annotated[_kind(each), subcommand(each)] for each in COMMANDS))
+    return tyro.cli(every, prog="corridor", args=arguments, config=MARKERS)
+
+
+def _kind(name: str) -> Any:
+    return getattr(import_module(f"trainer.commands.{name}"), COMMANDS[name])

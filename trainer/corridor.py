@@ -7,18 +7,17 @@ Everything else in the trainer goes for any ML-Agents environment. This stands o
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
-
-import numpy as np
-from mlagents_envs.base_env import BehaviorSpec
+from typing import TYPE_CHECKING, Any
 
 from corridor_server.corridor import colours
 from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
-from corridor_server.corridor.parameters import EpisodeParameters
-from corridor_server.protocol.messages import MAX_AREAS
 from corridor_server.protocol.samplers import Value
+from corridor_server.shared.given import MAX_AREAS
 from trainer.errors import TrainerError
+
+if TYPE_CHECKING:
+    from mlagents_envs.base_env import BehaviorSpec
 
 # What a player reports of each ended episode over the statistics channel.
 SUCCESS = "Corridor/Success"
@@ -51,7 +50,7 @@ def is_corridor(behavior: str) -> bool:
     return behavior.partition("?")[0] == "Corridor"
 
 
-def check_contract(spec: BehaviorSpec) -> None:
+def check_contract(spec: "BehaviorSpec") -> None:
     """Refuses a behavior called Corridor that has other observations or actions than the corridor's.
 
     Raises:
@@ -107,6 +106,8 @@ def check_parameter(name: str, value: Value) -> None:
     Raises:
         TrainerError: The corridor has no such parameter, or the value is out of its range.
     """
+    from corridor_server.corridor.parameters import EpisodeParameters
+
     try:
         EpisodeParameters(CorridorConfig(), ()).set(name, value)
     except ValueError as error:
@@ -134,6 +135,8 @@ def corridor_of(penalty: float, environment_parameters: Mapping[str, Any]) -> Co
         penalty: The run's failure penalty.
         environment_parameters: Of the run, as float32 numbers arrive at the player; samplers count for nothing here.
     """
+    import numpy as np
+
     values = asdict(CorridorConfig())
     given = {PENALTY: penalty, **environment_parameters}
     sent = {name: float(np.float32(value)) for name, value in given.items() if isinstance(value, int | float)}

@@ -3,9 +3,9 @@
 What counts when is as mlagents 1.1.0 has it.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import fmean
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from corridor_server.shared.given import Range, shown
@@ -232,7 +232,7 @@ class Curricula:
             return progress > criteria.threshold
         if not rewards:
             return False
-        reward = fmean(rewards)
+        reward = math.fsum(rewards) / len(rewards)
         if reward != reward:  # an episode's reward was no number
             return False
         if criteria.signal_smoothing:

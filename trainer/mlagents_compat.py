@@ -13,21 +13,22 @@ Delete this module when mlagents-envs publishes a release that installs on Pytho
 
 import sys
 from collections.abc import Sequence
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 PACKAGE = "mlagents_envs.communicator_objects."
 
 
-class MessageModules(MetaPathFinder, Loader):
+class MessageModules:
     """Finds ``mlagents_envs.communicator_objects.*_pb2`` here."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """The module's, if it is one of ours."""
-        return ModuleSpec(fullname, self) if fullname.startswith(PACKAGE) and _ours(fullname) else None
+        loader: Any = self  # importlib.abc, which has its type, takes longer to import than all of this
+        return ModuleSpec(fullname, loader) if fullname.startswith(PACKAGE) and _ours(fullname) else None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         """The module, which is there already."""

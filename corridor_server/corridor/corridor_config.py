@@ -6,8 +6,6 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from corridor_server.corridor import observation as layout
 from corridor_server.shared import given
 
@@ -124,7 +122,7 @@ def _checked(parameter: "Field[Any]", value: Any) -> float | int | Range:
         expected = allowed.described(whole)
     else:
         expected = f"two numbers [low, high] from {low:g} to {high:g}"
-        pair = value.tolist() if isinstance(value, np.ndarray) else value
+        pair = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
         ends = [allowed.read(end) for end in pair] if isinstance(pair, list | tuple) else []
         if len(ends) == 2 and ends[0] is not None and ends[1] is not None and ends[0] <= ends[1]:
             return ends[0], ends[1]

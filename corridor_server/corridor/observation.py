@@ -5,12 +5,13 @@ d_op, V_op. Positions and distances are in half-lengths of the corridor, velocit
 is 0 or 1; pairs are (x, z).
 """
 
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-Number = TypeVar("Number", bound=np.generic)
+Number = TypeVar("Number", bound="np.generic")
 
 POSITION = slice(0, 2)  # p
 VELOCITY = slice(2, 4)  # V
@@ -41,7 +42,7 @@ def opponents(floats: int) -> int:
     return (floats - OWN_SIZE) // OPPONENT_SIZE
 
 
-def opponent_blocks(observations: NDArray[Number]) -> NDArray[Number]:
+def opponent_blocks(observations: "NDArray[Number]") -> "NDArray[Number]":
     """The opponents' part of observations (..., 8 + 5K), as a view (..., K, 5)."""
     *leading, floats = observations.shape
     return observations[..., OWN_SIZE:].reshape(*leading, opponents(floats), OPPONENT_SIZE)

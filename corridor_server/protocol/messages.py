@@ -20,7 +20,6 @@ API_VERSION = "1.5.0"
 ACADEMY = "AcademySingleton"  # what every Unity player calls itself
 OK, STOP = 200, 400  # a header's status: the session goes on, or ends
 UNCOMPRESSED, PNG = 0, 1  # CompressionTypeProto
-MAX_AREAS = 2**16  # of one player of ours
 MAX_MESSAGE_BYTES = 256 * 2**20  # either end receives; gRPC's own limit is 4 MiB
 
 

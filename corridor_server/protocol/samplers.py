@@ -1,8 +1,10 @@
 """What an environment parameter's message can hold: a number, or one of ML-Agents' samplers with a seed of its own."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -13,7 +15,7 @@ class Uniform:
     low: float
     high: float
 
-    def sample(self, generator: np.random.Generator) -> float:
+    def sample(self, generator: "np.random.Generator") -> float:
         """Draws one value."""
         return self.low + (self.high - self.low) * generator.random()
 
@@ -26,7 +28,7 @@ class Gaussian:
     mean: float
     standard_deviation: float
 
-    def sample(self, generator: np.random.Generator) -> float:
+    def sample(self, generator: "np.random.Generator") -> float:
         """Draws one value."""
         return self.mean + self.standard_deviation * generator.standard_normal()
 
@@ -38,7 +40,7 @@ class MultiRangeUniform:
     seed: int
     ranges: tuple[tuple[float, float], ...]
 
-    def sample(self, generator: np.random.Generator) -> float:
+    def sample(self, generator: "np.random.Generator") -> float:
         """Draws one value."""
         lengths = [high - low for low, high in self.ranges]
         left = generator.random() * sum(lengths)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 FILE_LIMIT = 2**20  # bytes; the largest file of settings has a few kB
-FLOAT32 = float(np.finfo(np.float32).max)
+FLOAT32 = (2 - 2**-23) * 2.0**127  # the largest
+MAX_AREAS = 2**16  # of one player of ours
 
 
 @dataclass(frozen=True)
@@ -27,14 +26,14 @@ class Range:
     high: float = math.inf
     otherwise: str | None = None
 
-    def read(self, value: object, whole: bool = False) -> float | None:
+    def read(self, value: Any, whole: bool = False) -> float | None:
         """The number that a value is, as Python's own int or float; None if it is none, or out of the range.
 
         Args:
             value: Anything; NumPy's scalars and arrays of no dimension count as what they hold.
             whole: Whether it has to be without a fraction; it is an int then.
         """
-        if isinstance(value, np.generic | np.ndarray) and value.ndim == 0:
+        if getattr(value, "ndim", None) == 0:  # NumPy itself takes long to import
             value = value.item()
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None

@@ -20,10 +20,11 @@ SMALL = Workload(
     areas=(1, 8),
     rounds=1,
     seconds=0.05,
-    train_steps={"fast": 2000, "paper": 300},
+    train_steps={"fast": 2000, "paper": 128},
     train_rounds=1,
     players=((1, 8), (2, 4)),
-    memory_steps={"1e6": 2000, "1e7": 4000},
+    memory_areas=64,
+    memory_steps={"1e6": 1000, "1e7": 2000},
 )
 
 

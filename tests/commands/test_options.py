@@ -2,8 +2,6 @@
 
 import math
 import re
-import subprocess
-import sys
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -154,16 +152,3 @@ def test_an_option_that_would_have_no_effect_is_refused(command, says, capsys, t
     monkeypatch.chdir(tmp_path)
     assert main(command) == 1
     assert re.match(f"error: {says}", capsys.readouterr().err)
-
-
-def test_help_and_refusals_come_at_once():
-    """What takes seconds to import waits until a command runs."""
-    program = """
-import sys
-from trainer.main import main
-assert main(["train", "--run-id", "r", "--steps", "0"]) == 1
-slow = {"torch", "stable_baselines3", "tensorboard", "matplotlib", "mlagents_envs.environment"}
-print(sorted(slow & set(sys.modules)))
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
-    assert done.stdout.strip() == "[]", done.stderr

@@ -1,6 +1,8 @@
 """``Corridor-v0`` as Gymnasium and Stable-Baselines3 have an environment to be."""
 
 import pickle
+import subprocess
+import sys
 
 import gymnasium
 import numpy as np
@@ -29,6 +31,19 @@ def test_a_seed_is_kept_whole_and_reported(seed):
     assert env.np_random_seed == seed
     expected = np.random.SeedSequence(seed, spawn_key=(0,)).generate_state(4)
     assert np.array_equal(area_generator(seed, 0).bit_generator.seed_seq.generate_state(4), expected)
+
+
+@pytest.mark.parametrize("imports", ["gymnasium", "corridor_server, gymnasium", "gymnasium, corridor_server"])
+def test_it_is_made_by_its_name_whatever_is_imported_first(imports):
+    program = f"import {imports}; print(gymnasium.make('corridor_server:Corridor-v0').spec.id)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert (done.stdout, done.stderr) == ("Corridor-v0\n", "")
+
+
+def test_importing_the_player_does_not_import_gymnasium_which_takes_long():
+    program = "import sys, corridor_server, corridor_server.main; print('gymnasium' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "False\n"
 
 
 def test_seeds_begin_episodes_of_their_own():

@@ -89,7 +89,7 @@ def test_ddpg_takes_continuous_actions_only():
 
 def test_a_ddpg_run_can_be_evaluated_but_not_continued(tmp_path, free_port, capsys):
     options = ["--run-id", "d", "--algo", "ddpg", "--results-dir", str(tmp_path), "--base-port", str(free_port)]
-    options += ["--steps", "11000", "--num-areas", "8", "--eval-episodes", "2"]
+    options += ["--steps", "2000", "--num-areas", "8", "--eval-episodes", "2"]
     assert main(["train", *options]) == 0
     summary = json.loads((tmp_path / "d" / "summary.json").read_text())
     assert summary["algo"] == "ddpg"
@@ -104,9 +104,9 @@ def test_a_ddpg_run_can_be_evaluated_but_not_continued(tmp_path, free_port, caps
 def test_other_on_policy_runs_can_be_continued(tmp_path, free_port):
     options = ["--run-id", "r", "--algo", "trpo", "--results-dir", str(tmp_path), "--base-port", str(free_port)]
     options += ["--num-areas", "64", "--eval-episodes", "2"]
-    assert main(["train", *options, "--steps", "6000"]) == 0
-    assert main(["train", *options, "--steps", "11000", "--resume"]) == 0
-    assert json.loads((tmp_path / "r" / "summary.json").read_text())["env_steps"] >= 11_000
+    assert main(["train", *options, "--steps", "2000"]) == 0
+    assert main(["train", *options, "--steps", "4000", "--resume"]) == 0
+    assert json.loads((tmp_path / "r" / "summary.json").read_text())["env_steps"] >= 4_000
 
 
 def distillation() -> RandomNetworkDistillation:

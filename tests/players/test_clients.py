@@ -26,6 +26,7 @@ def under_0_28_0() -> Outcomes:
     return outcomes(sys.executable, unused_port())
 
 
+@pytest.mark.slow
 def test_the_player_under_0_28_0(under_0_28_0):
     failed = [line for line in under_0_28_0.values() if line["verdict"] == "fail"]
     assert not failed, failed

@@ -45,8 +45,8 @@ def test_maskable_ppo_keeps_to_the_masks_of_taxi(wrap, free_port, tmp_path):
     areas = 4 if wrap is UnityVecEnv else 1
     with served(free_port, tmp_path, "--gym", "Taxi-v4", num_areas=areas) as environment:
         env, counts = wrap(environment), forbidden_choices(environment)
-        MaskablePPO("MlpPolicy", env, n_steps=1000 // areas, batch_size=250, n_epochs=1, seed=0).learn(2000)
-        assert counts() == (2000, 0)
+        MaskablePPO("MlpPolicy", env, n_steps=500 // areas, batch_size=250, n_epochs=1, seed=0).learn(1000)
+        assert counts() == (1000, 0)
         env.reset()  # and one who keeps to none is caught by the count
         for _ in range(20):
             env.step(np.zeros(areas, int) if areas > 1 else 0)

@@ -205,9 +205,9 @@ def test_a_mutated_message_is_left_alone_or_means_what_protobuf_says():
 
 
 @pytest.mark.slow
-def test_two_hundred_thousand_mutated_messages_mean_what_protobuf_says_and_crash_nothing():
-    outcomes = campaign(1, 200_000)
-    assert min(outcomes.values()) > 20_000, outcomes
+def test_fifty_thousand_mutated_messages_mean_what_protobuf_says_and_crash_nothing():
+    outcomes = campaign(1, 50_000)
+    assert min(outcomes.values()) > 5_000, outcomes
 
 
 def test_rows_longer_than_a_two_byte_length_are_read():

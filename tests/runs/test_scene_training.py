@@ -121,7 +121,7 @@ default_settings:
   hyperparameters: {batch_size: 256, buffer_size: 2048, learning_rate: 0.002, beta: 0.001, num_epoch: 4}
   network_settings: {hidden_units: 64}
 behaviors:
-  Aim: {max_steps: 100000, hyperparameters: {learning_rate: 0.003}}
+  Aim: {max_steps: 60000, hyperparameters: {learning_rate: 0.003}}
   Herd: {max_steps: 60000}
   Errand: {max_steps: 30000}
 """

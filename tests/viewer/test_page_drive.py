@@ -47,6 +47,7 @@ def reached(opened: Any) -> None:
     assert sums[-1] == pytest.approx(sum(sums[:-1]), abs=0.003)
 
 
+@pytest.mark.slow
 def test_keys_drive_the_learner_to_the_target(open_page, page_server):
     opened = open_drive(open_page, page_server)
     down: set[str] = set()
@@ -70,6 +71,7 @@ def test_keys_drive_the_learner_to_the_target(open_page, page_server):
     until(opened, "corridor.stage.track.rows === 1")
 
 
+@pytest.mark.slow
 def test_touch_drives_the_learner_to_the_target(open_page, page_server):
     opened = open_drive(open_page, page_server, viewport=PHONE, has_touch=True, is_mobile=True)
     opened.locator("#joystick").scroll_into_view_if_needed()

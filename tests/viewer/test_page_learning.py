@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
 from conftest import BIN
 from page_in_browser import compare, until
 from recorded_run import recorded_run
@@ -24,6 +25,7 @@ def stop(process: subprocess.Popen[str]) -> None:
     process.stdout.close()
 
 
+@pytest.mark.slow
 def test_learning_is_followed_and_runs_lie_over_each_other(open_page, tmp_path, free_port):
     results = tmp_path / "results"
     process, address = start_watching(results, free_port)

@@ -221,7 +221,7 @@ def test_a_foreign_players_run_says_when_there_will_be_episodes(page_server, tmp
 
 def test_the_newest_checkpoint_of_a_training_run_is_played(page_server, tmp_path):
     results = tmp_path / "results"
-    options = ["--run-id", "r", "--results-dir", results, "--base-port", 5755, "--num-areas", 16, "--steps", 2000]
+    options = ["--run-id", "r", "--results-dir", results, "--base-port", 5755, "--num-areas", 16, "--steps", 256]
     assert corridor_here("train", *options, "--eval-episodes", 16).returncode == 0
     before = {path: path.stat().st_mtime_ns for path in results.rglob("*") if path.is_file()}
     recorded = load_trajectories(results / "r" / "trajectories.npz")

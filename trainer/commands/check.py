@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from trainer.options import Options, Seconds
+from trainer.options import Options, Seconds, env_args_of_another
 from trainer.terminal import Terminal
 
 
@@ -21,6 +21,11 @@ class Check(Options):
 
     def run(self, typed: str) -> int:
         """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""
+        from trainer.players.location import can_be_launched, check_launchable
+
+        check_launchable(self.env)
+        if self.env_args and not can_be_launched(self.env):
+            raise env_args_of_another(self.env)
         from trainer.conformance.checker import check_player
 
         return 0 if check_player(self.env, self.env_args, self.timeout_wait, self.strict, Terminal()) else 1

@@ -25,11 +25,16 @@ class Evaluate(Options):
         """Evaluates."""
         folder = self.results.find()
         from trainer.drafts import only_writer
+        from trainer.players.location import check_connection, check_launchable
+        from trainer.runs.checkpoint import find_checkpoint
 
         with only_writer(folder.path) as draft:
             config = folder.read_config()
             if self.env is not None:
                 config = dataclasses.replace(config, env=self.env)
+            find_checkpoint(folder.checkpoints, self.checkpoint)
+            check_launchable(config.env)
+            check_connection(config, self.connection)
             from trainer.runs.run import evaluate_run
 
             evaluate_run(config, folder, draft, self.connection, episodes=self.episodes, checkpoint=self.checkpoint)

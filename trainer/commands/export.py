@@ -20,6 +20,9 @@ class Export:
         check_file(self.onnx, "--onnx")
         folder = self.results.find()
         config = folder.read_config()
+        from trainer.runs.checkpoint import find_checkpoint
+
+        find_checkpoint(folder.checkpoints)
         from trainer.runs.onnx_file import export_run
 
         for path in export_run(config, folder, self.onnx):

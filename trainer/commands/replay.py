@@ -26,9 +26,7 @@ class Replay(Options):
     def run(self, typed: str) -> int:
         """Writes the pages."""
         from trainer.drafts import only_writer
-        from trainer.runs.folder import run_places
-        from trainer.viewer.replay_files import replay_run
-        from trainer.viewer.study_page import is_study, write_study_page
+        from trainer.runs.folder import is_study, run_places
 
         for study in run_places(self.results.run, self.results.results_dir):
             if is_study(study):
@@ -36,16 +34,28 @@ class Replay(Options):
                     raise TrainerError(
                         f"--checkpoint {self.checkpoint} is a run's, but {study} is a study; replay one of its runs."
                     )
+                from trainer.viewer.study_page import write_study_page
+
                 with only_writer(study):
                     write_study_page(study, self.episodes, Terminal())
                 return 0
-        folder = self.results.find()
+        folder, connection = self.results.find(), ConnectionOptions(**asdict(self.connection))
         with only_writer(folder.path) as draft:
+            config = folder.read_config()
+            if self.checkpoint is not None or not folder.trajectories.exists():
+                from trainer.players.location import check_connection, check_launchable
+                from trainer.runs.checkpoint import find_checkpoint
+
+                find_checkpoint(folder.checkpoints, self.checkpoint)
+                check_launchable(config.env)
+                check_connection(config, connection)
+            from trainer.viewer.replay_files import replay_run
+
             replay_run(
-                folder.read_config(),
+                config,
                 folder,
                 draft,
-                ConnectionOptions(**asdict(self.connection)),
+                connection,
                 checkpoint=self.checkpoint,
                 episodes=self.episodes,
             )

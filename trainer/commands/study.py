@@ -53,18 +53,19 @@ class StudyOptions(Options):
 
     def run(self, typed: str) -> int:
         """Trains what is missing and reports; the exit code is 1 if a run failed."""
-        from trainer.studies import conduct, executors, plan
-        from trainer.studies.ray_executor import RayExecutor
         from trainer.studies.store import Store
 
-        studies = {each.name: each for each in plan.STUDIES}
-        executor: executors.Executor
-        if self.executor == "ray":
-            executor = RayExecutor(self.address)
-        else:
-            executor = executors.LocalExecutor(self.jobs or os.cpu_count() or 1)
         store = Store(self.results_dir)
         with store.only_writer(self.name):
+            from trainer.studies import conduct, executors, plan
+            from trainer.studies.ray_executor import RayExecutor
+
+            studies = {each.name: each for each in plan.STUDIES}
+            executor: executors.Executor
+            if self.executor == "ray":
+                executor = RayExecutor(self.address)
+            else:
+                executor = executors.LocalExecutor(self.jobs or os.cpu_count() or 1)
             finished = conduct.run_study(
                 studies[self.name],
                 executor,
@@ -131,9 +132,12 @@ class Generalise(Options):
         """Plays and reports."""
         if not self.runs:
             raise TrainerError("Which run's policy? Give a run's id, or several: corridor study generalise RUN ...")
+        from trainer.runs.checkpoint import find_checkpoint
         from trainer.runs.folder import RunFolder
 
         folders = [RunFolder.find(run, self.results_dir) for run in self.runs]
+        for folder in folders:
+            find_checkpoint(folder.checkpoints)
         from trainer.drafts import only_writer
         from trainer.studies.generalise import run_generalise
 

@@ -245,21 +245,22 @@ class Train(Options):
         """Trains and evaluates."""
         config = self.run_config()
         from trainer.learning.device import check_device
-        from trainer.players.location import can_be_launched, check_launchable
+        from trainer.players.location import can_be_launched, check_connection, check_launchable
 
-        check_launchable(config.env)  # a bad player or file is refused before a folder is made
+        check_launchable(config.env)  # a bad player is refused before a folder is made
         self.check_effects(can_be_launched(config.env))
+        check_connection(config, self.connection)
         check_device(config.device)
         resume, force = self.resumes_or_overwrites()
         if self.algo == "ddpg" and resume:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
-        if self.from_sb3 is not None and not resume:
-            from trainer.learning.sb3_zip import read_sb3_policy
-
-            read_sb3_policy(self.from_sb3)
         from trainer.runs.folder import RunFolder
 
         with RunFolder.claim(config, self.results_dir, resume=resume, force=force) as (folder, draft):
+            if self.from_sb3 is not None and not resume:
+                from trainer.learning.sb3_zip import read_sb3_policy
+
+                read_sb3_policy(self.from_sb3)
             from trainer.runs.run import train_run
 
             finished = train_run(

@@ -15,7 +15,6 @@ from trainer.conformance.suite import Conformance, is_strict
 from trainer.conformance.verdicts import NotApplicable
 from trainer.corridor import is_corridor
 from trainer.errors import TrainerError
-from trainer.options import env_args_of_another
 from trainer.players.location import launch_path, place
 from trainer.terminal import Terminal
 
@@ -110,8 +109,6 @@ def check_player(env: str, env_args: Sequence[str], timeout: float, strict: bool
     file_name, host, port = place(env, 0)
     launch = None if file_name is None else launch_path(file_name)
     if launch is None:
-        if env_args:
-            raise env_args_of_another(env)
         try:
             free_addresses(host, port)
         except (PortInUse, ValueError) as error:

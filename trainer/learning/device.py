@@ -2,12 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from corridor_server.protocol.agents import Behavior
-from trainer.behavior_settings import NetworkSettings
 from trainer.errors import TrainerError
 
 if TYPE_CHECKING:
     import torch
+
+    from corridor_server.protocol.agents import Behavior
+    from trainer.behavior_settings import NetworkSettings
 
 WORTH_UNITS = 512  # in a layer; smaller networks of vectors wait longer for a GPU than they compute
 
@@ -29,7 +30,7 @@ def check_device(device: str) -> None:
         raise TrainerError(f"--device is {device}, but PyTorch sees no GPU here; take auto or cpu.")
 
 
-def device_for(asked: str, behavior: Behavior, network: NetworkSettings) -> "torch.device":
+def device_for(asked: str, behavior: "Behavior", network: "NetworkSettings") -> "torch.device":
     """Where a behavior's networks compute.
 
     Args:

@@ -5,12 +5,12 @@ import zipfile
 import zlib
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
-
-import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
+from typing import TYPE_CHECKING, Any
 
 from trainer.errors import TrainerError
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
 POLICY = "policy.pth"
 LIMIT = 256 * 2**20  # bytes, unpacked
@@ -33,6 +33,8 @@ def read_sb3_policy(path: Path) -> dict[str, Any]:
             if file.getinfo(POLICY).file_size > LIMIT:
                 raise TrainerError(f"{POLICY} in {path} has more than {LIMIT // 2**20} MiB; it is no policy of ours.")
             data = file.read(POLICY)
+        import torch  # takes seconds, which a file that is none need not wait for
+
         weights: dict[str, Any] = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (
         OSError,
@@ -51,7 +53,7 @@ def read_sb3_policy(path: Path) -> dict[str, Any]:
     return weights
 
 
-def load_sb3_policy(path: Path, model: BaseAlgorithm) -> None:
+def load_sb3_policy(path: Path, model: "BaseAlgorithm") -> None:
     """Puts the weights of a saved Stable-Baselines3 policy into a model with the same networks.
 
     Raises:

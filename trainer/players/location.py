@@ -8,13 +8,14 @@ import sys
 from pathlib import Path
 
 from mlagents_envs import env_utils
-from mlagents_envs.environment import UnityEnvironment
 
 from corridor_server.shared.addresses import LOOPBACK, parse_address, parse_host
 from corridor_server.shared.given import shown
+from trainer.config import BASE_PORT, ConnectionOptions, RunConfig
 from trainer.errors import TrainerError
 
 BUILTIN, EDITOR = "builtin", "editor"
+EDITOR_PORT = 5004  # UnityEnvironment.DEFAULT_EDITOR_PORT, which takes seconds to import
 FOREIGN = {".exe": "Windows", ".app": "macOS", ".x86_64": "Linux", ".x86": "Linux"}
 
 
@@ -37,7 +38,7 @@ def place(env: str, port: int, listen: str = LOOPBACK) -> tuple[str | None, str,
     if env == BUILTIN:
         return _builtin_player(), listen, port
     if env == EDITOR:
-        return None, listen, UnityEnvironment.DEFAULT_EDITOR_PORT
+        return None, listen, EDITOR_PORT
     return (env, listen, port) if address is None else (None, *address)
 
 
@@ -50,6 +51,21 @@ def check_launchable(env: str) -> None:
     file_name, _, _ = place(env, 0)
     if file_name is not None:
         launch_path(file_name)
+
+
+def check_connection(config: RunConfig, connection: ConnectionOptions) -> None:
+    """Refuses what is asked for of ports and hosts where it has no effect, or where there are none.
+
+    Raises:
+        TrainerError: The first of them.
+    """
+    _, host, first = place(config.env, connection.base_port, connection.listen)
+    if connection.base_port != BASE_PORT and first == place(config.env, BASE_PORT)[2]:
+        raise TrainerError(f"--base-port {connection.base_port} has no effect on {config.env}, which has port {first}.")
+    if connection.listen != LOOPBACK and host == place(config.env, first)[1]:
+        raise TrainerError(f"--listen {connection.listen} has no effect on {config.env}, which says where to listen.")
+    if first + config.num_envs - 1 > 65535:
+        raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
 
 
 def launch_path(file_name: str) -> str:

@@ -12,7 +12,7 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
-from trainer.config import BASE_PORT, ConnectionOptions, RestartLimits, RunConfig
+from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
 from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
@@ -22,7 +22,7 @@ from trainer.players.connected import Connected
 from trainer.players.environment import Environment
 from trainer.players.failures import PlayerLogs, last_lines, player_errors, sentence
 from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
-from trainer.players.location import BUILTIN, can_be_launched, launch_path, place
+from trainer.players.location import BUILTIN, can_be_launched, check_connection, launch_path, place
 from trainer.players.scene import Scene
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
@@ -149,13 +149,7 @@ def open_players(
         state = PlayerState(states[number] if states is not None and life == lives[number] else None)
         return _connect(config, logs, connection, number, player_seed(seed, number, life), state, curricula)
 
-    _, host, first = place(config.env, connection.base_port, connection.listen)
-    if connection.base_port != BASE_PORT and first == place(config.env, BASE_PORT)[2]:
-        raise TrainerError(f"--base-port {connection.base_port} has no effect on {config.env}, which has port {first}.")
-    if connection.listen != LOOPBACK and host == place(config.env, first)[1]:
-        raise TrainerError(f"--listen {connection.listen} has no effect on {config.env}, which says where to listen.")
-    if first + config.num_envs - 1 > 65535:
-        raise TrainerError(f"{config.num_envs} players from port {first} on need ports above 65535; begin lower.")
+    check_connection(config, connection)
     players = _open_players(config, logs, connect, lives, limits)
     try:
         with player_errors(logs, 0):

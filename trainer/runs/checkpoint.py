@@ -17,14 +17,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from safetensors.numpy import load, save
+from typing import TYPE_CHECKING, Any
 
 from trainer.errors import TrainerError
 from trainer.files import whole_file
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 FORMAT = 2
 KEPT = 5
@@ -47,7 +46,7 @@ class Checkpoint:
         facts: Plain values, as JSON has them; those of the parts under ``parts``.
     """
 
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: "Mapping[str, NDArray[Any]]"
     facts: Mapping[str, Any]
 
     def part(self, name: str) -> dict[str, Any]:
@@ -63,6 +62,9 @@ def to_bytes(checkpoint: Checkpoint) -> bytearray:
     Raises:
         TrainerError: One of its numbers is NaN or infinite.
     """
+    import numpy as np  # not for a command that only looks which checkpoints there are
+    from safetensors.numpy import save
+
     for name, array in checkpoint.arrays.items():
         # A sum is the quicker test; one that is not finite may also have overflowed.
         if array.dtype.kind == "f" and not math.isfinite(array.sum()) and not np.isfinite(array).all():
@@ -84,6 +86,8 @@ def from_bytes(data: bytes | bytearray) -> Checkpoint:
         DamagedCheckpoint: A byte is not what it was, or one is missing.
         TrainerError: It is whole, but of a later version.
     """
+    from safetensors.numpy import load
+
     at = _digest_place(data)
     blank = data[:at] + NO_DIGEST.encode() + data[at + 64 :]
     if hashlib.sha256(blank).hexdigest().encode() != data[at : at + 64]:

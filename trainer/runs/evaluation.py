@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from trainer.corridor import OPPONENT_CONTACTS, SUCCESS, WALL_CONTACTS
+
+if TYPE_CHECKING:  # replays and the page, which only read episodes, start without it
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 # The statistics that rates are made from.
 _REPORTED = {"success_rate": SUCCESS, "opponent_contact_rate": OPPONENT_CONTACTS, "wall_contact_rate": WALL_CONTACTS}
@@ -42,7 +44,7 @@ class Episode:
 
 
 def evaluate(
-    model: BaseAlgorithm, normaliser: VecNormalize, player: VecEnv, episodes: int, deterministic: bool = True
+    model: "BaseAlgorithm", normaliser: "VecNormalize", player: "VecEnv", episodes: int, deterministic: bool = True
 ) -> list[Episode]:
     """Plays episodes with the policy, as it is, on unwrapped environments.
 

@@ -48,6 +48,7 @@ def save_learning_curve(rows: Sequence[dict[str, float | None]], title: str, pat
         axes.set_xlabel(f"agent steps ({units})")
         _tidy(axes)
     figure.suptitle(title)
+    figure.subplots_adjust(top=0.92, hspace=0.32, wspace=0.36)
     _save(figure, path)
 
 
@@ -88,8 +89,7 @@ def save_episode_paths(episode: Episode, title: str, path: Path, corridor: Corri
     axes.set_ylim(-width - 0.3, width + 0.3)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("z (m)")
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False)
     end = {True: "target reached", False: "failed", None: "ended"}[episode.succeeded]
     total = episode.rewards.sum(dtype=np.float64)
     axes.set_title(f"{title}: {end} after {len(episode.rewards)} decisions, return {total:+.2f}")
@@ -108,7 +108,7 @@ def _disc(centre: tuple[float, ...], radius: float, colour: str, opacity: float)
 
 
 def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height))  # Matplotlib's layout engines would take as long again as all else
     FigureCanvasAgg(figure)
     return figure
 

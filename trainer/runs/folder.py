@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -19,7 +19,9 @@ from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.options import is_name
-from trainer.runs.checkpoint import Checkpoint, read_checkpoint
+
+if TYPE_CHECKING:
+    from trainer.runs.checkpoint import Checkpoint
 
 PACKAGES = (
     "curious-corridor",
@@ -37,6 +39,7 @@ PACKAGES = (
 DERIVED = ("preset_parameters", "preset_given")
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
 MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine", "device")
+CLAIMS = "claims.json"  # of a study
 MAY_CHANGE_OF_A_BEHAVIOR = ("max_steps", "summary_freq", "keep_checkpoints", "checkpoint_interval", "even_checkpoints")
 
 
@@ -155,7 +158,7 @@ class RunFolder:
             players["behavior"] = next(iter(behaviors.values()))
         write_whole(self.configuration, yaml.safe_dump({**sections, **run, **players}, sort_keys=False))
 
-    def read_checkpoint(self, config: RunConfig, name: str | None = None) -> Checkpoint:
+    def read_checkpoint(self, config: RunConfig, name: str | None = None) -> "Checkpoint":
         """Reads a checkpoint of the run; the newest without a name.
 
         Args:
@@ -165,6 +168,8 @@ class RunFolder:
         Raises:
             TrainerError: There is none, it is damaged, or it is another run's.
         """
+        from trainer.runs.checkpoint import read_checkpoint
+
         checkpoint = read_checkpoint(self.checkpoints, name)
         try:
             theirs = RunConfig.from_dict(checkpoint.facts["config"])
@@ -268,6 +273,11 @@ def run_places(run: str, results_dir: Path) -> list[Path]:
     names = run.split("/")
     inside = [results_dir / run] if all(is_name(name) for name in names) else []
     return [*inside, Path(run)]
+
+
+def is_study(folder: Path) -> bool:
+    """Whether ``corridor study`` has reported in this folder."""
+    return os.path.isfile(folder / CLAIMS)
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

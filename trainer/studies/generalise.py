@@ -31,7 +31,6 @@ from trainer.learning.stages import build_stages
 from trainer.players.failures import PlayerLogs
 from trainer.players.location import BUILTIN, can_be_launched
 from trainer.players.opening import open_slots
-from trainer.runs.checkpoint import checkpoints
 from trainer.runs.evaluation import evaluate, summarise
 from trainer.runs.folder import RunFolder
 from trainer.runs.training import load_trained
@@ -254,9 +253,6 @@ def run_generalise(
         TrainerError: A run has no checkpoint or another observation.
     """
     configs = [folder.read_config() for folder in folders]
-    for config, folder in zip(configs, folders, strict=True):
-        if not checkpoints(folder.checkpoints):
-            raise TrainerError(f"The run {config.run_id} has no checkpoint in {folder.checkpoints}; train it first.")
     tried = [panels(config) for config in configs]
     shown = [panel for panel in tried[0] if all(panel.title in [each.title for each in others] for others in tried)]
     cells: list[list[list[Cell]]] = []

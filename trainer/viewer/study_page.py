@@ -11,20 +11,14 @@ from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.options import is_name
-from trainer.runs.folder import RunFolder
+from trainer.runs.folder import CLAIMS, RunFolder
 from trainer.runs.trajectories import load_trajectories
 from trainer.terminal import Terminal
 from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
 
 SEED, SEEDS = Range(0, 2**31 - 1), Range(1, 10_000)
-CLAIMS = "claims.json"
 CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
-
-
-def is_study(folder: Path) -> bool:
-    """Whether ``corridor study`` has reported in this folder."""
-    return os.path.isfile(folder / CLAIMS)
 
 
 def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
