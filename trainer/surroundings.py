@@ -7,12 +7,14 @@ from io import TextIOWrapper
 
 # Libraries that find an unknown value in these raise, and gRPC aborts the process.
 MISREAD = ("GRPC_POLL_STRATEGY", "PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION", "TORCH_LOGS")
+# It leaves loops that are to be compiled to Python.
+SLOW = ("NUMBA_DISABLE_JIT",)
 
 
 def ignore_surroundings() -> None:
     """Keeps it out of this process and of those that it starts."""
     os.environ["MPLBACKEND"] = "agg"  # Jupyter names one that may not be installed; there is no window here
-    for name in MISREAD:
+    for name in (*MISREAD, *SLOW):
         os.environ.pop(name, None)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # it is None where it was closed

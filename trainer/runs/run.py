@@ -14,6 +14,7 @@ from trainer.curriculum import Curricula
 from trainer.drafts import Draft, written
 from trainer.errors import TrainerError
 from trainer.learning.algorithm_state import policy_sha256
+from trainer.learning.kernels import PROBLEM
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.learning.stages import Stages, build_stages
 from trainer.players.behavior import behavior_record
@@ -92,6 +93,8 @@ def train_run(
     Raises:
         TrainerError: The player can't be started, does not fit, or failed; what was learned until then is saved.
     """
+    if PROBLEM is not None:
+        Terminal(stderr=True).print(PROBLEM, style="yellow")
     with _written_to(folder):
         learned = _learn(config, folder, draft, connection, episodes, resumed, limits)
         if isinstance(learned, LearnedScene):
