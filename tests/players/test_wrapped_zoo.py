@@ -125,3 +125,13 @@ def test_the_examples_in_the_docs_run(free_port, monkeypatch):
     ]
     for example in examples:
         exec(setup.replace("port=5005", f"port={free_port}") + example, {})
+
+
+@pytest.mark.slow
+def test_the_example_in_the_readme_runs(free_port, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(BIN), prepend=":")
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "README.md").read_text()
+    [example] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(example.replace("port=5005", f"port={free_port}").replace("10_000", "1_024"), {})
+    assert (tmp_path / "pole.zip").is_file()
