@@ -134,7 +134,9 @@ def test_a_player_that_begins_anew_leaves_its_open_steps_behind_and_no_others():
     teller = Teller(Experience(BEHAVIOR, 64))
     for player in (0, 1):
         teller.experience.act(*teller.message(player, [], [0, 1]))
+    assert len(teller.experience.running) == 4
     teller.experience.begin_anew(0)
+    assert len(teller.experience.running) == 2
     teller.message(1, [0, 1], [])
     teller.take()
     assert len(teller.taken) == 2

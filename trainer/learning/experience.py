@@ -64,6 +64,11 @@ class Experience:
         """How many transitions there are, closed and open."""
         return len(self._columns["rewards"])
 
+    @property
+    def running(self) -> set[int]:
+        """The numbers of the episodes that agents are in."""
+        return set(self._slots["episode"][list(self._agents.values())].tolist())
+
     def begin_anew(self, player: int) -> None:
         """Forgets the running episodes of a player that says no more of them."""
         for agent in [each for each in self._agents if each[0] == player]:

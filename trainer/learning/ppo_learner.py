@@ -164,6 +164,8 @@ class PPOLearner(Learner):
         for number, total in zip(numbers.tolist(), np.bincount(which, rewards).tolist(), strict=True):
             self._sums[number] = self._sums.get(number, 0.0) + total
         self.recent["intrinsic"].extend(self._sums.pop(number, 0.0) for number in self._over)
+        running = self.experience.running  # a player that died says no end of its episodes
+        self._sums = {number: total for number, total in self._sums.items() if number in running}
         self.metrics["rollout/intrinsic_reward"] = float(rewards.mean())
 
     def _targets(
