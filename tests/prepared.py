@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-IMPORTED = ("pytest", "corridor_server.main", "trainer.main", "trainer.command_line", "trainer.runs.run")
+IMPORTED = ("pytest", "corridor_server.main", "trainer.main", "trainer.command_line", "trainer.runs.run", "compiled")
 _FORKS = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload([*IMPORTED])
 
