@@ -34,11 +34,10 @@ from corridor_server.simulations.observation_sensors import (
     batched,
     check_finite,
 )
-from corridor_server.simulations.running_episodes import RunningEpisodes, not_restored, other_seeds
+from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
     Moment,
     NotRestored,
-    Simulation,
     SimulationError,
     Statistics,
     blaming,
@@ -106,7 +105,7 @@ class GymnasiumEnvironment:
             return CopiesHere(partial(gymnasium.make, name, disable_env_checker=True, **arguments), count, wrappers)
 
 
-class GymnasiumSimulation(Simulation):
+class GymnasiumSimulation(PlaysAgain):
     """Copies of an environment.
 
     Args:
@@ -120,7 +119,7 @@ class GymnasiumSimulation(Simulation):
 
     def __init__(self, environment: GymnasiumEnvironment, seed: int, num_areas: int) -> None:
         self._name, self._environment = environment.name, environment
-        self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
+        self._seeds = [(seed + area) % 2**32 for area in range(num_areas)]
         self._parameters = DeclaredParameters(environment.declared, range(num_areas))
         self._set = False  # whether a parameter was
         self._copies, self._episodes = self._made(num_areas)
@@ -186,20 +185,6 @@ class GymnasiumSimulation(Simulation):
             return np.empty(0, OF_ANY_LENGTH)
         extra = {"masked": self._masked, "parameters": self._parameters.state()}
         return self._episodes.snapshot({self._behavior.name: self._last.deciding}, extra)
-
-    def restore(self, rows: NDArray[np.void]) -> None:
-        """Plays the episodes again.
-
-        Raises:
-            NotRestored: They can't be, or are others then.
-        """
-        try:
-            self._play_again(rows)
-        except Exception as error:  # whatever an author's code raises
-            self._renew()
-            self._seeds = other_seeds(rows, len(self._ids))
-            raise not_restored(error) from error
-        self.restored = True
 
     def close(self) -> None:
         """Closes every copy."""

@@ -21,10 +21,9 @@ from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelAr
 from corridor_server.simulations.declared_parameters import DeclaredParameters
 from corridor_server.simulations.environment_memory import Memory
 from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite
-from corridor_server.simulations.running_episodes import RunningEpisodes, not_restored, other_seeds
+from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
     Moment,
-    Simulation,
     SimulationError,
     Statistics,
     blaming,
@@ -103,7 +102,7 @@ class _Role(NamedTuple):
     grouped: bool
 
 
-class PettingZooSimulation(Simulation):
+class PettingZooSimulation(PlaysAgain):
     """Copies of an environment.
 
     An agent's id is its place among all possible agents of its copy, after those of the copies before it. A group's
@@ -121,7 +120,7 @@ class PettingZooSimulation(Simulation):
     def __init__(self, environment: PettingZooEnvironment, seed: int, num_areas: int) -> None:
         self._environment = environment
         self._areas, self._episodes = self._made(num_areas)
-        self._seeds: list[int | None] = [(seed + area) % 2**32 for area in range(num_areas)]
+        self._seeds = [(seed + area) % 2**32 for area in range(num_areas)]
         numbers = [key for key, value in environment.arguments.items() if isinstance(value, int | float)]
         self._parameters = DeclaredParameters((*numbers, *environment.parameters), range(num_areas))
         with blaming(f"{environment.module} doesn't say what its agents are"):
@@ -183,20 +182,6 @@ class PettingZooSimulation(Simulation):
         if not self._last:
             return np.empty(0, OF_ANY_LENGTH)
         return self._episodes.snapshot(self._last, {"parameters": self._parameters.state()})
-
-    def restore(self, rows: NDArray[np.void]) -> None:
-        """Plays the episodes again.
-
-        Raises:
-            NotRestored: They can't be, or are others then.
-        """
-        try:
-            self._play_again(rows)
-        except Exception as error:  # whatever an author's code raises
-            self._renew()
-            self._seeds = other_seeds(rows, len(self._areas))
-            raise not_restored(error) from error
-        self.restored = True
 
     def close(self) -> None:
         """Closes every copy."""

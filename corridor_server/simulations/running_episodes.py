@@ -10,6 +10,7 @@ import itertools
 import json
 import logging
 import random
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from corridor_server.protocol.agents import ActionBatch, Agents
 from corridor_server.protocol.side_channels import OF_ANY_LENGTH
 from corridor_server.simulations.environment_memory import Memory, Remembered, array_of, plain
-from corridor_server.simulations.simulation import Moment, NotRestored
+from corridor_server.simulations.simulation import Moment, NotRestored, Simulation
 
 logger = logging.getLogger(__name__)
 
@@ -232,14 +233,46 @@ class RunningEpisodes:
         return digest.hexdigest()
 
 
-def not_restored(error: Exception) -> NotRestored:
+class PlaysAgain(Simulation):
+    """A simulation whose state is its running episodes, which are played again.
+
+    Attributes:
+        _seeds: Of each copy's next episode; None goes on with the random numbers of the one before.
+    """
+
+    _seeds: list[int | None]
+
+    def restore(self, rows: NDArray[np.void]) -> None:
+        """Plays the episodes again.
+
+        Raises:
+            NotRestored: They can't be, or are others then.
+        """
+        try:
+            self._play_again(rows)
+        except Exception as error:  # whatever an author's code raises
+            self._renew()
+            self._seeds = _other_seeds(rows, len(self._seeds))
+            raise _not_restored(error) from error
+        self.restored = True
+
+    @abstractmethod
+    def _play_again(self, rows: NDArray[np.void]) -> None:
+        """Begins the saved episodes, and plays them to where they were."""
+
+    @abstractmethod
+    def _renew(self) -> None:
+        """Makes the copies anew."""
+
+
+def _not_restored(error: Exception) -> NotRestored:
     """Why episodes can't be played again, of what went wrong."""
     if isinstance(error, NotRestored):
         return error
     return NotRestored(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
 
 
-def other_seeds(rows: NDArray[np.void], count: int) -> list[int | None]:
+def _other_seeds(rows: NDArray[np.void], count: int) -> list[int | None]:
     """Seeds of episodes that were not played yet, for copies that can't go on from this state."""
     words = np.frombuffer(hashlib.sha256(rows.tobytes()).digest(), np.uint32)
     return list(np.random.default_rng(words).integers(2**32, size=count).tolist())

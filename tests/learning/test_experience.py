@@ -78,10 +78,10 @@ class Teller:
         transitions, moved = self.experience.take(waiting)
         self.taken.extend(
             zip(
-                transitions.observed.observations[0][:, 0].tolist(),
+                transitions.observed[0][:, 0].tolist(),
                 transitions.decided.continuous[:, 0].tolist(),
                 transitions.rewards.tolist(),
-                transitions.next_observations[0][:, 0].tolist(),
+                transitions.next_observed[0][:, 0].tolist(),
                 strict=True,
             )
         )
@@ -181,7 +181,7 @@ def test_advantages_of_agents_in_step_are_those_of_sb3s_rollout_buffer(seed):
     starts = np.vstack([np.ones(count), ends[:-1]])
     buffer.values[:], buffer.rewards[:], buffer.episode_starts[:] = values[:-1], rewards, starts
     buffer.compute_returns_and_advantage(torch.tensor(values[-1]), ends[-1])
-    worth, then = transitions.observed.observations[0][:, 0], transitions.next_observations[0][:, 0]
+    worth, then = transitions.observed[0][:, 0], transitions.next_observed[0][:, 0]
     found = advantages(transitions.previous, transitions.rewards, worth, then * ~transitions.terminated, gamma, lambd)
     order = transitions.decided.continuous[:, 0].astype(int)  # step by step, agent by agent
     expected = buffer.advantages.ravel()[order]
@@ -192,7 +192,7 @@ def test_a_time_horizon_cuts_a_trajectory_and_not_what_follows_it():
     values = np.arange(9, dtype=np.float32)[:, None]
     transitions = told(8, 3, values, np.zeros((8, 1), np.float32), np.zeros((8, 1), bool))
     assert transitions.previous.tolist() == [-1, 0, 1, -1, 3, 4, -1, 6]
-    assert transitions.next_observations[0][:, 0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert transitions.next_observed[0][:, 0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_what_was_terminated_is_told_from_what_a_time_limit_or_an_update_cut():

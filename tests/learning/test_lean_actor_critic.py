@@ -53,6 +53,11 @@ def decided(policy: ActorCritic, seen: Observed, deterministic: bool = False) ->
     return Decided(*(part.numpy() for part in acted))
 
 
+def of(seen: Observed, taken: Decided, rewards: np.ndarray) -> Transitions:
+    rows, nothing = np.arange(ROWS), np.zeros(ROWS, np.int64)
+    return Transitions(seen.observations, rows, rows, seen.allowed, taken, rewards, nothing, nothing, nothing > 0)
+
+
 def batches(seed: int) -> list[np.ndarray]:
     generator = np.random.default_rng(seed)
     return [each for _ in range(3) for each in minibatches(ROWS, 20, generator)]
@@ -82,8 +87,7 @@ def test_updates_are_those_of_torch_parameter_by_parameter(kind, masked, heads):
     ours = copy.deepcopy(theirs)
     taken, rng = decided(theirs, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, heads)))
-    nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, (), nothing, nothing, nothing, nothing, nothing.astype(bool))
+    transitions = of(seen, taken, advantage)
     settings = PPOHyperparameters(batch_size=20, learning_rate=3e-3, beta=0.02, epsilon=0.1)
     updates = (
         PPOUpdate(theirs, settings),
@@ -110,8 +114,7 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
     policy, seen = built("hybrid"), observed("hybrid", True)
     taken, rng = decided(policy, seen), np.random.default_rng(1)
     advantage, returns = (rng.normal(size=shape).astype(np.float32) for shape in ((ROWS,), (ROWS, 1)))
-    nothing = np.zeros(ROWS, np.int64)
-    transitions = Transitions(seen, taken, (), advantage, (), nothing, nothing, nothing, nothing, nothing.astype(bool))
+    transitions = of(seen, taken, advantage)
     settings = PPOHyperparameters(batch_size=20)
     first = PPOUpdate(policy, settings, LeanActorCritic(policy, (3, 2)))
     first.update(transitions, advantage, returns, returns[:, 0] * 0.5, 0.0, batches(2))

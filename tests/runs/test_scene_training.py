@@ -60,11 +60,11 @@ def learned(monkeypatch) -> dict[str, list]:
 def told(transitions) -> list[tuple]:
     """Transitions as the scene writes them down."""
     columns = (
-        transitions.observed.observations[0][:, 0] * 2.0**14,
+        transitions.observed[0][:, 0] * 2.0**14,
         np.clip(transitions.decided.continuous[:, 0], -1, 1),
         transitions.decided.discrete[:, 0],
         transitions.rewards,
-        transitions.next_observations[0][:, 0] * 2.0**14,
+        transitions.next_observed[0][:, 0] * 2.0**14,
         transitions.terminated,
     )
     return list(zip(*(column.tolist() for column in columns), strict=True))

@@ -95,7 +95,7 @@ def by_agents(port, folder):
         scene.close()
     for row in range(len(transitions)):
         area = int(transitions.decided.log_probs[row])
-        seen, then = transitions.observed.observations[0][row], transitions.next_observations[0][row]
+        seen, then = transitions.observed[0][row], transitions.next_observed[0][row]
         action, reward = transitions.decided.continuous[row], transitions.rewards[row]
         found[area].append((seen, action, reward, then, ENDS[ends.get(row)]))
     return found

@@ -139,10 +139,7 @@ class ActorCritic(nn.Module):
     def values(self, observations: Sequence[Tensor]) -> Tensor:
         """The critic's values, (n, value heads); keeps no gradient."""
         features = self.encoder.encode(observations)
-        values: Tensor = self.value_net(
-            self._actor(features) if self._shared else self.mlp_extractor.value_net(features)
-        )
-        return values
+        return self._critic(features, self._actor(features) if self._shared else features)
 
     def _actor(self, features: Tensor) -> Tensor:
         latent: Tensor = self.mlp_extractor.policy_net(features)

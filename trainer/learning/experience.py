@@ -176,16 +176,12 @@ class Experience:
         used, places = np.unique(np.concatenate((seen, next_seen)), return_inverse=True)
         seen_place, next_seen_place = np.split(places, 2)
         taken = Transitions(
-            Observed(
-                tuple(each.used[seen] for each in self._observations),
-                self._allowed.used[seen] if self._masked else None,
-            ),
-            Decided(*(columns[name][closed] for name in ("continuous", "discrete", "log_probs"))),
-            tuple(each.used[next_seen] for each in self._observations),
-            columns["rewards"][closed],
             tuple(each.used[used] for each in self._observations),
             seen_place,
             next_seen_place,
+            self._allowed.used[seen] if self._masked else None,
+            Decided(*(columns[name][closed] for name in ("continuous", "discrete", "log_probs"))),
+            columns["rewards"][closed],
             previous,
             columns["episodes"][closed],
             columns["terminated"][closed],

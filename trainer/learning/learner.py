@@ -22,7 +22,7 @@ from trainer.errors import TrainerError
 from trainer.learning.experience import Asking, Experience
 from trainer.learning.observation_scaling import ObservationScaling
 from trainer.learning.rewards import Signal
-from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Singles, Transitions, joined
+from trainer.learning.transitions import Decided, EndedEpisode, Observed, Singles, Transitions, joined
 
 WINDOW = 100  # episodes that running means are over
 LOSS_TAGS = {
@@ -247,11 +247,8 @@ class Learner(ABC):
         """What agents observe, as it is remembered."""
         return self.observations.of(agents)
 
-    @abstractmethod
-    def _ended(
-        self, transitions: Indices, observations: tuple[Singles, ...], ended: Agents, episodes: list[EndedEpisode]
-    ) -> None:
-        """Looks at agents that ended: their transitions (n,), -1 for none, and last observations; their episodes."""
+    def _ended(self, episodes: list[EndedEpisode]) -> None:  # noqa: B027 - not all learners have to know
+        """Looks at episodes that ended."""
 
     def _take_closed(self) -> Transitions:
         """Takes out what is to be learned from."""
@@ -265,10 +262,9 @@ class Learner(ABC):
         return transitions
 
     def _end(self, player: int, behavior: str, ended: Agents) -> None:
-        observations = self._observed(ended).observations
-        transitions = self.experience.end(player, behavior, ended, observations)
+        self.experience.end(player, behavior, ended, self._observed(ended).observations)
         episodes, self.experience.ended = self.experience.ended, []
-        self._ended(transitions, observations, ended, episodes)
+        self._ended(episodes)
         for episode in episodes:
             self.episodes += 1
             self.ended_returns.append(episode.total)

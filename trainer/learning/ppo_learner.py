@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from corridor_server.protocol.agents import Agents, Behavior
+from corridor_server.protocol.agents import Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.lean_actor_critic import LeanActorCritic, flat
 from trainer.learning.learner import LOSS_TAGS, Learner, part_of
 from trainer.learning.ppo_update import PPOUpdate, minibatches
-from trainer.learning.rewards import Signal
+from trainer.learning.rewards import IntrinsicReward, Signal
 from trainer.learning.tensors import CPU, tensor, tensors
 from trainer.learning.transitions import (
     Decided,
@@ -26,7 +25,6 @@ from trainer.learning.transitions import (
 )
 
 CHUNK = 1024  # observations that are valued at once: pictures need memory
-_Columns = tuple[tuple[Tensor, ...], Tensor, Tensor, tuple[Tensor, ...]]
 
 
 class PPOLearner(Learner):
@@ -65,7 +63,7 @@ class PPOLearner(Learner):
             shared_critic=self._own.shared_critic,
         )
         self.policy.to(device)
-        fits = LeanActorCritic.fits(self.policy) and not any(True for _ in self.policy.encoder.parameters())
+        fits = LeanActorCritic.fits(self.policy)
         self._lean = LeanActorCritic(self.policy, behavior.discrete_branches) if fits else None
         self._ppo = PPOUpdate(self.policy, self._own, self._lean)
         self._generator = np.random.default_rng(seed)
@@ -79,7 +77,7 @@ class PPOLearner(Learner):
         """Makes an update of what was taken; agents that wait are decided for with the new policy."""
         progress = self.progress
         transitions = self._take_closed()
-        worth = self._values(transitions.all_observations)
+        worth = self._values(transitions.observations)
         self._check_finite(worth)
         values, next_values = worth[transitions.seen], worth[transitions.next_seen]
         next_values[transitions.terminated] *= self._after_end
@@ -129,9 +127,7 @@ class PPOLearner(Learner):
         )
         return Decided(*(part.cpu().numpy() for part in acted))
 
-    def _ended(
-        self, transitions: Indices, observations: tuple[Singles, ...], ended: Agents, episodes: list[EndedEpisode]
-    ) -> None:
+    def _ended(self, episodes: list[EndedEpisode]) -> None:
         self._over.extend(episode.number for episode in episodes)
 
     def _values(self, observations: tuple[Singles, ...]) -> Singles:
@@ -146,9 +142,8 @@ class PPOLearner(Learner):
 
     def _rewards(self, transitions: Transitions) -> list[Singles]:
         """Of each signal, (n,), times its strength."""
-        columns = _columns(transitions, self._device)
         found = [
-            (transitions.rewards if signal.module is None else signal.module.reward(*columns))
+            (transitions.rewards if signal.module is None else self._reward(signal.module, transitions))
             * np.float32(signal.strength)
             for signal in self._signals
         ]
@@ -157,6 +152,12 @@ class PPOLearner(Learner):
             self._add_up(transitions, np.sum(learned, axis=0))
         self._over.clear()
         return found
+
+    def _reward(self, module: IntrinsicReward, transitions: Transitions) -> Singles:
+        seen, then = (tensors(each, self._device) for each in (transitions.observed, transitions.next_observed))
+        decided = transitions.decided
+        continuous, discrete = tensors((decided.continuous, decided.discrete), self._device)
+        return module.reward(seen, continuous, discrete, then)
 
     def _add_up(self, transitions: Transitions, rewards: Singles) -> None:
         """Adds intrinsic rewards to their episodes, and takes those that are over into the last ones' window."""
@@ -187,7 +188,9 @@ class PPOLearner(Learner):
 
     def _learn_signals(self, transitions: Transitions) -> dict[str, float]:
         """Has each signal that learns go through the transitions once; what there is to log."""
-        seen, continuous, discrete, then = _columns(transitions, self._device)
+        observations, decided = tensors(transitions.observations, self._device), transitions.decided
+        places = tensors((transitions.seen, transitions.next_seen), self._device)
+        continuous, discrete = tensors((decided.continuous, decided.discrete), self._device)
         metrics = {}
         for signal in self._signals:
             if signal.module is None:
@@ -195,15 +198,8 @@ class PPOLearner(Learner):
             losses = []
             for indices in self._minibatches(transitions):
                 rows = torch.from_numpy(indices).to(self._device)
-                before, after = ([each[rows] for each in part] for part in (seen, then))
+                before, after = ([each[place[rows]] for each in observations] for place in places)
                 losses.append(signal.module.learn(before, continuous[rows], discrete[rows], after))
             for name in losses[0]:
                 metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
         return metrics
-
-
-def _columns(transitions: Transitions, device: torch.device) -> _Columns:
-    """Of what an intrinsic reward is made."""
-    decided, seen = transitions.decided, transitions.observed.observations
-    continuous, discrete = tensors((decided.continuous, decided.discrete), device)
-    return tensors(seen, device), continuous, discrete, tensors(transitions.next_observations, device)

@@ -105,15 +105,15 @@ class PPOUpdate:
         beta: float,
     ) -> Iterator[_Measures]:
         """A gradient step for each minibatch."""
-        observed, decided = transitions.observed, transitions.decided
-        device = self._policy.log_std.device
-        observations, allowed = tensors(observed.observations, device), tensor(observed.allowed, device)
+        decided, device = transitions.decided, self._policy.log_std.device
+        observations, allowed = tensors(transitions.observations, device), tensor(transitions.allowed, device)
+        seen = torch.from_numpy(transitions.seen).to(device)
         continuous, discrete, old_log_probs = tensors(decided, device)
         advantage, target = tensors((advantages, returns), device)
         for indices in batches:
             rows = torch.from_numpy(indices).to(device)
             values, log_probs, entropy = self._policy.evaluate(
-                tuple(each[rows] for each in observations),
+                tuple(each[seen[rows]] for each in observations),
                 None if allowed is None else allowed[rows],
                 continuous[rows],
                 discrete[rows],
@@ -148,10 +148,10 @@ class PPOUpdate:
     ) -> Iterator[_Measures]:
         """The same without torch."""
         assert self._lean is not None
-        lean, decided, allowed = self._lean, transitions.decided, transitions.observed.allowed
-        observations = flat(transitions.observed.observations)
+        lean, decided, allowed = self._lean, transitions.decided, transitions.allowed
+        observations = flat(transitions.observations)
         for rows in batches:
-            seen, discrete = observations[rows], decided.discrete[rows]
+            seen, discrete = observations[transitions.seen[rows]], decided.discrete[rows]
             judged = lean.judge(seen, None if allowed is None else allowed[rows], decided.continuous[rows], discrete)
             log_ratio = judged.log_probs - decided.log_probs[rows]
             slope, (loss, clipped, divergence) = policy_loss(log_ratio, normalised(advantages[rows]), epsilon)

@@ -62,10 +62,10 @@ class ReplayMemory(DictReplayBuffer):
 
     def store(self, transitions: Transitions) -> None:
         """Adds transitions, with their observations as they came."""
-        for index in range(len(transitions)):
+        for index, places in enumerate(zip(transitions.seen, transitions.next_seen, strict=True)):
             seen, then = (
-                {f"obs_{number}": each[index] for number, each in enumerate(part)}
-                for part in (transitions.observed.observations, transitions.next_observations)
+                {f"obs_{number}": each[place] for number, each in enumerate(transitions.observations)}
+                for place in places
             )
             action, ended = transitions.decided.continuous[index], transitions.terminated[index]
             self.add(seen, then, action, transitions.rewards[index], ended, [{}])

@@ -21,7 +21,7 @@ from trainer.learning.ppo_update import LEAST_RATE, scheduled
 from trainer.learning.replay_memory import ReplayMemory
 from trainer.learning.rewards import Signal
 from trainer.learning.tensors import CPU, tensors
-from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Singles
+from trainer.learning.transitions import Decided, Observed
 
 
 class SACLearner(Learner):
@@ -191,11 +191,6 @@ class SACLearner(Learner):
     def _observed(self, agents: Agents) -> Observed:
         """As they came: they are scaled when they are drawn."""
         return Observed(tuple(np.asarray(each, np.float32) for each in agents.observations))
-
-    def _ended(
-        self, transitions: Indices, observations: tuple[Singles, ...], ended: Agents, episodes: list[EndedEpisode]
-    ) -> None:
-        """Its critics say what follows when they learn; here is nothing to do."""
 
     def _learn_signals(self, updates: int) -> None:
         losses: dict[str, list[float]] = {}

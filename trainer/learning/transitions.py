@@ -62,32 +62,40 @@ class Transitions:
     """Closed transitions, in the order in which they began.
 
     Attributes:
-        observed: What the agents saw, n rows.
+        observations: Every observation that is among them once, of each sensor (m, *shape) float32: most of what was
+            seen then was acted on next.
+        seen: Where what the agents saw is in them, (n,).
+        next_seen: Where what they saw then is, (n,); at an episode's end its own last observation.
+        allowed: Choices that they had, (n, choices) bool; None where all were allowed.
         decided: What they did.
-        next_observations: What they saw then; at an episode's end its own last observations.
         rewards: Of the environment, an agent's own and its group's, (n,) float32.
-        all_observations: Every observation that is among them once, of each sensor (m, *shape) float32: most of what
-            was seen then was acted on next.
-        seen: Where what they saw is in them, (n,).
-        next_seen: Where what they saw then is, (n,).
         previous: The transition before in the same trajectory, (n,); -1 where one begins.
         episodes: A number for each agent's episode, (n,).
         terminated: Whether the episode ended with it and nothing was to follow, (n,) bool: no time limit cut it.
     """
 
-    observed: Observed
-    decided: Decided
-    next_observations: tuple[Singles, ...]
-    rewards: Singles
-    all_observations: tuple[Singles, ...]
+    observations: tuple[Singles, ...]
     seen: Indices
     next_seen: Indices
+    allowed: NDArray[np.bool_] | None
+    decided: Decided
+    rewards: Singles
     previous: Indices
     episodes: Indices
     terminated: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.rewards)
+
+    @property
+    def observed(self) -> tuple[Singles, ...]:
+        """What the agents saw, of each sensor (n, *shape); copies."""
+        return tuple(each[self.seen] for each in self.observations)
+
+    @property
+    def next_observed(self) -> tuple[Singles, ...]:
+        """What they saw then, of each sensor (n, *shape); copies."""
+        return tuple(each[self.next_seen] for each in self.observations)
 
 
 class EndedEpisode(NamedTuple):
