@@ -66,6 +66,32 @@ def test_a_file_gives_back_every_number(tmp_path):
     assert not (tmp_path / "t.npz.tmp").exists()
 
 
+def test_what_networks_made_of_an_episode_is_kept_and_older_files_have_none(tmp_path):
+    rng = np.random.default_rng(0)
+    plain = [some_episode(0), some_episode(1, length=4)]
+    full = [
+        dataclasses.replace(
+            episode,
+            values=rng.normal(size=len(episode.observations)).astype(np.float32),
+            intrinsic_rewards=rng.exponential(0.01, len(episode.rewards)).astype(np.float32),
+        )
+        for episode in plain
+    ]
+    path = tmp_path / "t.npz"
+    for episodes in (full, plain, [dataclasses.replace(each, intrinsic_rewards=None) for each in full]):
+        save_trajectories(path, Trajectories("Corridor?team=0", 1, 9, episodes))
+        assert all(map(same, load_trajectories(path).episodes, episodes))
+    assert {"values", "intrinsic_rewards"}.isdisjoint(np.load(GOLDEN / "trajectories.npz").files)
+    save_trajectories(path, Trajectories("Corridor?team=0", 1, 9, full))
+    np.savez(path, **{**np.load(path), "values": np.zeros(7, np.float32)})
+    assert "different lengths" in str(refusal(path))
+
+    columns = table(episode_record(full[0], 0, CorridorConfig(), None))
+    assert np.allclose(columns["value"], full[0].values, rtol=2**-12)
+    assert np.allclose(columns["intrinsic"], [0, *full[0].intrinsic_rewards], rtol=2**-12)
+    assert {"value", "intrinsic"}.isdisjoint(table(episode_record(plain[0], 0, CorridorConfig(), None)))
+
+
 def test_a_broken_file_is_one_sentence(tmp_path):
     whole = (GOLDEN / "trajectories.npz").read_bytes()
     expected = load_trajectories(GOLDEN / "trajectories.npz").episodes

@@ -76,6 +76,25 @@ def test_a_checkpoint_is_played_by_name(trained):
     assert f"step-{steps}" in done.stderr
 
 
+def test_the_networks_values_and_rewards_are_recorded_and_a_checkpoint_gives_them_again(trained):
+    """From memory after training, and from the checkpoint's curiosity module and critic."""
+    before = trained.trajectories.read_bytes()
+    recorded = load_trajectories(trained.trajectories).episodes
+    options = ["--results-dir", trained.path.parent, "--base-port", 5745, "--episodes", 12]
+    try:
+        assert corridor_here("evaluate", "r", *options).returncode == 0
+        again = load_trajectories(trained.trajectories).episodes
+    finally:
+        trained.trajectories.write_bytes(before)
+    for one, other in zip(recorded, again, strict=True):
+        assert len(one.values) == len(one.observations)
+        assert len(one.intrinsic_rewards) == len(one.rewards)
+        assert (one.intrinsic_rewards > 0).all()
+        assert np.ptp(one.values) > 0
+        assert np.array_equal(one.values, other.values)
+        assert np.array_equal(one.intrinsic_rewards, other.intrinsic_rewards)
+
+
 def test_a_run_without_evaluation_is_played(trained):
     trained.trajectories.rename(trained.path / "kept.npz")
     try:

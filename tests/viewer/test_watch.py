@@ -1,5 +1,7 @@
 """``corridor watch``: what its server answers and refuses, and what it makes of runs that come, grow, break and go."""
 
+import dataclasses
+import html
 import http.client
 import json
 import os
@@ -14,12 +16,13 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 from conftest import BIN, corridor_here
-from recorded_run import GOLDEN, recorded_run
+from recorded_run import GOLDEN, begun_run, recorded_run, settings
 
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.document import PAGE
-from trainer.viewer.page_server import BODY_LIMIT, CONNECTIONS, Drives, PageServer
+from trainer.viewer.drives import Drives
+from trainer.viewer.page_server import BODY_LIMIT, CONNECTIONS, NO_TOKEN, OTHER_TOKEN, PageServer
 from trainer.viewer.watched_runs import QUIET_SECONDS
 
 
@@ -55,8 +58,15 @@ def wait_for_scene(page_server: PageServer, name: str) -> dict:
 def test_the_page_comes_with_the_token_only(page_server):
     assert ask(page_server, f"/?token={page_server.token}")[1]["page"].startswith("<!doctype html>")
     assert ask(page_server, page_server.address.partition(str(page_server.server_port))[2])[0] == 200
-    for path in ("/", "/?token=", f"/?token={page_server.token[:-1]}", "/?token=%C3%A9"):
-        assert ask(page_server, path)[0] == 403
+    for path, sentence in (
+        ("/", NO_TOKEN),
+        ("/?token=", NO_TOKEN),
+        (f"/?token={page_server.token[:-1]}", OTHER_TOKEN),
+        ("/?token=%C3%A9", OTHER_TOKEN),
+    ):
+        status, answer = ask(page_server, path)
+        assert status == 403
+        assert html.escape(sentence) in answer["page"]
 
 
 @pytest.mark.parametrize(
@@ -148,8 +158,70 @@ def test_driving_is_the_in_process_world(page_server):
     assert (status, answer["error"]) == (400, "This drive is over; begin a new episode.")
 
 
-def test_forgotten_drives_are_bounded():
-    drives = Drives(0)
+def test_a_runs_corridor_and_its_evaluations_episodes_can_be_driven(page_server, tmp_path):
+    recorded_run(tmp_path / "results")
+    for number, episode in enumerate(load_trajectories(GOLDEN / "trajectories.npz").episodes):
+        begun = ask(page_server, "/api/drive/new", {"run": "fast", "episode": number})[1]
+        row = begun["row"]
+        assert begun["goal"] == pytest.approx(10 * episode.observations[0, 4:6], abs=1e-5)
+        assert row["values"]["op0_z"] == episode.observations[0, 9]
+        for action, reward in zip(episode.actions, episode.rewards, strict=True):
+            row = ask(page_server, "/api/drive/step", {"session": begun["session"], "action": action.tolist()})[1]
+            assert row["values"]["reward"] == reward
+        assert row["outcome"] == ("goal" if episode.succeeded else "failed")
+        if number == 1:
+            break
+    fast_one = dataclasses.replace(settings("fast-one"), environment_parameters={"agent_speed": 3.0, "goal_x": 5.0})
+    begun_run(fast_one, tmp_path / "results")
+    begun = ask(page_server, "/api/drive/new", {"run": "fast-one"})[1]
+    assert begun["goal"][0] == 5.0
+    moved = ask(page_server, "/api/drive/step", {"session": begun["session"], "action": [0, 1]})[1]["values"]
+    env = CorridorEnv(agent_speed=3.0, goal_x=5.0)
+    env.reset(seed=0)
+    assert moved["p_z"] - begun["row"]["values"]["p_z"] == pytest.approx(
+        env.step(np.array([0, 1], np.float32))[0][1] - env.reset(seed=0)[0][1], abs=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        ({"run": "nobody"}, "The run 'nobody' is gone."),
+        ({"run": "../results/fast"}, "is gone"),
+        ({"run": ["fast"]}, "is gone"),
+        ({"run": "fast", "episode": 12}, "There is no episode 12 of fast, whose evaluation has 12, from 0."),
+        ({"run": "fast", "episode": -1}, "a whole number from 0"),
+        ({"run": "fast", "episode": "x" * 999}, "a whole number from 0"),
+        ({"run": "bare", "episode": 0}, "the run has not been evaluated"),
+        ({"run": "moved", "episode": 0}, "Episode 0 of moved can't begin here as it was recorded"),
+        ({"run": "walker"}, "only a corridor can be driven"),
+    ],
+)
+def test_what_cant_be_driven_is_one_sentence(page_server, tmp_path, asked, sentence):
+    results = tmp_path / "results"
+    recorded_run(results)
+    recorded_run(results, "bare", evaluated=False)
+    moved = begun_run(dataclasses.replace(settings("moved"), environment_parameters={"goal_x": 5.0}), results)
+    shutil.copy(GOLDEN / "trajectories.npz", moved.trajectories)
+    walker = recorded_run(results, "walker")
+    walker.configuration.write_text(walker.configuration.read_text() + "\nbehavior: {name: Walker}\n")
+    status, answer = ask(page_server, "/api/drive/new", asked)
+    assert status == 400
+    assert sentence in answer["error"]
+    assert answer["error"].count("\n") == 0
+
+
+def test_any_episode_of_an_evaluation_is_given(page_server, tmp_path):
+    recorded_run(tmp_path / "results")
+    scene = ask(page_server, "/api/episode?run=fast&number=7")[1]["scene"]
+    assert [record["number"] for record in scene["episodes"]] == [7]
+    assert scene["episodes"] == [ask(page_server, "/api/scene?run=fast")[1]["scene"]["episodes"][7]]
+    for query in ("run=fast&number=12", "run=fast&number=-1", "run=fast&number=x", "run=no&number=1", "run=fast", ""):
+        assert ask(page_server, f"/api/episode?{query}")[0] == 400
+
+
+def test_forgotten_drives_are_bounded(tmp_path):
+    drives = Drives(tmp_path, 0)
     sessions = [drives.new()["session"] for _ in range(40)]
     with pytest.raises(ValueError, match="over"):
         drives.step(sessions[0], [0, 0])
@@ -246,6 +318,26 @@ def test_the_newest_checkpoint_of_a_training_run_is_played(page_server, tmp_path
             break
         time.sleep(0.1)
     assert "is damaged" in answer["error"]
+
+
+def test_a_wrong_results_folder_is_named(tmp_path):
+    run = recorded_run(tmp_path / "results")
+    for folder, sentence in ((run.path, f"give {run.path.parent}."), (run.summary, "which is a file")):
+        run.summary.touch()
+        done = corridor_here("watch", "--results-dir", folder, "--port", 0)
+        assert done.returncode == 1
+        assert f"--results-dir is {folder}" in done.stderr
+        assert sentence in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    process = subprocess.Popen(
+        [BIN / "corridor", "watch", "--results-dir", "reslts", "--port", "0"], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout
+    assert "http://127.0.0.1:" in process.stdout.readline()
+    assert process.stdout.readline() == "There is no folder reslts yet; is it the right --results-dir?\n"
+    process.terminate()
+    assert process.wait(30) == 130
+    process.stdout.close()
 
 
 def test_a_port_in_use_and_a_clean_end(tmp_path):

@@ -28,6 +28,10 @@ class Episode:
         truncated: It was cut by a step limit; every other end is terminated.
         slot: The environment that it was played in; episodes of a slot are in the order in which they were played.
         statistics: What the player reported at its end, by name; empty if it reports none.
+        values: What the policy's critic makes of each observation, (length + 1,); None if it has none, or nobody
+            asked.
+        intrinsic_rewards: What curiosity would have added to each reward, c x scale x r_i, (length,); None without
+            curiosity, or if nobody asked.
     """
 
     observations: NDArray[np.float32]
@@ -36,6 +40,8 @@ class Episode:
     truncated: bool
     slot: int
     statistics: dict[str, float]
+    values: NDArray[np.float32] | None = None
+    intrinsic_rewards: NDArray[np.float32] | None = None
 
     @property
     def succeeded(self) -> bool | None:

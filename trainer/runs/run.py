@@ -26,6 +26,7 @@ from trainer.players.several import Players
 from trainer.runs.behavior_learners import plain_behavior
 from trainer.runs.checkpoint import Checkpoint, checkpoints
 from trainer.runs.counters import Counters
+from trainer.runs.estimates import with_estimates
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
@@ -166,7 +167,7 @@ def _learn(
         finished = train(config, folder, stages, players, counters, begin, checkpoint)
         evaluated = None
         if finished and not can_be_launched(config.env):
-            evaluated = evaluate(stages.model, stages.normaliser, players, episodes)
+            evaluated = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
         return _Learned(finished, stages, counters, so_far.counters, players.behavior, evaluated)
 
 
@@ -186,7 +187,8 @@ def _evaluate(
         seed = evaluation_seed(config.seed)
         logs = PlayerLogs(folder.evaluation_logs)
         with _evaluation_players(config, logs, connection, limits) as players:
-            played = evaluate(learned.stages.model, learned.stages.normaliser, players, episodes)
+            stages = learned.stages
+            played = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
     evaluation = Trajectories(learned.behavior, seed, learned.counters.env_steps, played)
     _save_evaluation(config, folder, evaluation)
     return evaluation
@@ -266,7 +268,7 @@ def play_episodes(
         counters = load_trained(config, folder, stages, checkpoint)
         draft.publish()
         logs.folder, logs.stay = folder.evaluation_logs, True
-        played = evaluate(stages.model, stages.normaliser, players, episodes)
+        played = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
     return Trajectories(players.behavior, evaluation_seed(config.seed), counters.env_steps, played)
 
 

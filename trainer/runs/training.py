@@ -119,6 +119,8 @@ def load_trained(config: RunConfig, folder: RunFolder, stages: Stages, checkpoin
     """
     read = folder.read_checkpoint(config, checkpoint)
     restore_trained(read, stages, config.algo)
+    if stages.curiosity is not None:  # for what it makes of the episodes
+        restore(read, {"curiosity": stages.curiosity})
     return Counters(**read.facts["counters"])
 
 

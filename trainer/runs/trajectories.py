@@ -4,6 +4,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,8 @@ def save_trajectories(path: Path, trajectories: Trajectories) -> None:
     Its arrays, for E episodes of lengths l, n observation floats and S statistics (docs/watching.md):
     ``version``, ``behavior``, ``seed`` (-1: None), ``env_steps``; ``lengths`` (E,), ``slots`` (E,), ``truncated`` (E,);
     ``observations`` (sum of l + 1, n) float32, ``actions`` (sum of l, ...), ``rewards`` (sum of l,) float32;
-    ``statistic_names`` (S,), ``statistics`` (E, S) float64, NaN where the player reported none.
+    ``statistic_names`` (S,), ``statistics`` (E, S) float64, NaN where the player reported none; where the run has them,
+    ``values`` (sum of l + 1,) and ``intrinsic_rewards`` (sum of l,) float32.
     """
     episodes = trajectories.episodes
     names = sorted({name for episode in episodes for name in episode.statistics})
@@ -57,6 +59,7 @@ def save_trajectories(path: Path, trajectories: Trajectories) -> None:
             rewards=np.concatenate([episode.rewards for episode in episodes]),
             statistic_names=np.array(names, dtype=np.str_),
             statistics=np.array([[episode.statistics.get(name, np.nan) for name in names] for episode in episodes]),
+            **_estimates(episodes),
         )
 
 
@@ -77,6 +80,9 @@ def load_trajectories(path: Path) -> Trajectories:
             observations = np.split(arrays["observations"], np.cumsum(lengths + 1)[:-1])
             actions, rewards = np.split(arrays["actions"], ends), np.split(arrays["rewards"], ends)
             names = arrays["statistic_names"].tolist()
+            # Files of before have neither.
+            values = np.split(arrays["values"], np.cumsum(lengths + 1)[:-1]) if "values" in arrays else None
+            intrinsic = np.split(arrays["intrinsic_rewards"], ends) if "intrinsic_rewards" in arrays else None
             episodes = [
                 Episode(
                     observations=observations[row],
@@ -89,10 +95,12 @@ def load_trajectories(path: Path) -> Trajectories:
                         for name, value in zip(names, arrays["statistics"][row], strict=True)
                         if not np.isnan(value)
                     },
+                    values=None if values is None else values[row],
+                    intrinsic_rewards=None if intrinsic is None else intrinsic[row],
                 )
                 for row in range(len(lengths))
             ]
-            if any(len(e.observations) != n + 1 or len(e.rewards) != n for e, n in zip(episodes, lengths, strict=True)):
+            if not all(_is_whole(episode, length) for episode, length in zip(episodes, lengths, strict=True)):
                 raise ValueError("its arrays have different lengths")
             seed = int(arrays["seed"])
             behavior, env_steps = str(arrays["behavior"]), int(arrays["env_steps"])
@@ -101,3 +109,15 @@ def load_trajectories(path: Path) -> Trajectories:
         raise TrainerError(f"There is no {path}: the run has not been evaluated; run 'corridor evaluate'.") from error
     except (OSError, EOFError, KeyError, IndexError, TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise TrainerError(f"{path} is broken ({error}); run 'corridor evaluate' to write it again.") from error
+
+
+def _estimates(episodes: list[Episode]) -> dict[str, Any]:
+    found = {name: [getattr(episode, name) for episode in episodes] for name in ("values", "intrinsic_rewards")}
+    return {name: np.concatenate(each) for name, each in found.items() if each and all(one is not None for one in each)}
+
+
+def _is_whole(episode: Episode, length: int) -> bool:
+    """Whether every array has the length that it should have."""
+    states = [episode.observations, *([] if episode.values is None else [episode.values])]
+    steps = [episode.rewards, *([] if episode.intrinsic_rewards is None else [episode.intrinsic_rewards])]
+    return all(len(each) == length + 1 for each in states) and all(len(each) == length for each in steps)

@@ -20,13 +20,16 @@ from trainer.runs.trajectories import Trajectories
 from trainer.seeds import player_seed
 
 SHOWN = 20  # episodes on a page, unless told otherwise
+ESTIMATE_BITS = 12  # of a value's or an intrinsic reward's mantissa: 3 digits, which is what the page shows
 FOREIGN = (
     "The in-process world doesn't give these episodes (another player, or parameters drawn anew for each), so what the "
     "trainer can't see is not shown: the opponent's target and the switch's place; the corridor has its default sizes."
 )
 
 
-def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHOWN) -> dict[str, Any]:
+def run_scene(
+    config: RunConfig, trajectories: Trajectories, episodes: int = SHOWN, number: int | None = None
+) -> dict[str, Any]:
     """A run's evaluation for the page.
 
     Where the built-in player played it, its episodes are lived through again in the in-process world, action by
@@ -37,14 +40,19 @@ def run_scene(config: RunConfig, trajectories: Trajectories, episodes: int = SHO
         config: The run.
         trajectories: Its evaluation.
         episodes: How many to show: failures, closest calls and successes in equal parts, as far as there are.
+        number: Show this episode alone.
 
     Raises:
-        TrainerError: The environment is not the corridor.
+        TrainerError: The environment is not the corridor, or there is no such episode.
     """
     if not is_corridor(trajectories.behavior):
         raise TrainerError(f"The run's behavior is {trajectories.behavior}, but only the corridor can be shown.")
     corridor = corridor_of(config.penalty, config.environment_parameters)
-    chosen = choose(trajectories.episodes, episodes)
+    if number is None:
+        chosen = choose(trajectories.episodes, episodes)
+    else:
+        check_episode(config, trajectories, number)
+        chosen = [number]
     hidden = _hidden_targets(config, trajectories, chosen, corridor)
     return {
         "run": {**config.facts(), "steps": config.steps},
@@ -70,6 +78,12 @@ def corridor_facts(corridor: CorridorConfig, *, switch_known: bool = True) -> di
         "near_distance": corridor.near_distance,
         "decision_seconds": corridor.decision_seconds,
         "failure_return": corridor.failure_return,
+        "goal_reward": corridor.goal_reward,
+        "wall_penalty": corridor.wall_penalty,
+        "contact_penalty": corridor.contact_penalty,
+        "near_penalty": corridor.near_penalty,
+        "step_penalty": corridor.step_penalty,
+        "failure_penalty": corridor.failure_penalty,
         "switch": {"x": corridor.switch_x, "z": corridor.switch_z, "radius": corridor.switch_radius}
         if switch_known
         else None,
@@ -110,13 +124,17 @@ def episode_record(
     Returns:
         Facts, and ``data``: a float32 table of the columns in ``columns`` and length + 1 rows, column after column,
         deflated, as Base64. Row t is the state after t decisions, with the reward and action that led to it (0 in
-        row 0). Units are the observation's.
+        row 0), the critic's value of it, and what curiosity makes of the step to it. Units are the observation's.
     """
     observations = episode.observations
     nothing = np.zeros((1, *episode.actions.shape[1:]))
     columns = _columns(
         observations, np.concatenate([[0.0], episode.rewards]), np.concatenate([nothing, episode.actions])
     )
+    if episode.values is not None:
+        columns["value"] = _rounded(episode.values)
+    if episode.intrinsic_rewards is not None:
+        columns["intrinsic"] = _rounded(np.concatenate([[0.0], episode.intrinsic_rewards]))
     table = np.stack([column.astype("<f4") for column in columns.values()])
     # Bytes of the same significance side by side deflate to two thirds.
     shuffled = table.view(np.uint8).reshape(-1, 4).T.tobytes()
@@ -152,6 +170,13 @@ def _columns(observations: NDArray[Any], rewards: NDArray[Any], actions: NDArray
     return columns | {"reward": rewards, "a_x": actions[:, 0], "a_z": actions[:, 1]}
 
 
+def _rounded(numbers: NDArray[Any]) -> NDArray[np.float32]:
+    """Numbers to ``ESTIMATE_BITS``: the other bits of a network's output are noise, which doesn't deflate."""
+    mantissa, exponent = np.frexp(numbers.astype(np.float32))
+    rounded: NDArray[np.float32] = np.ldexp(np.rint(mantissa * 2.0**ESTIMATE_BITS), exponent - ESTIMATE_BITS)
+    return rounded.astype(np.float32)
+
+
 def outcome(episode: Episode) -> str:
     """How an episode ended: ``goal``, ``failed``, ``truncated``, or ``ended`` if the player doesn't say."""
     if episode.truncated:
@@ -170,12 +195,7 @@ def _hidden_targets(
     found = {}
     for row in rows:
         episode = trajectories.episodes[row]
-        player, area = divmod(episode.slot, config.num_areas)
-        earlier = sum(other.slot == episode.slot for other in trajectories.episodes[:row])
-        env = CorridorEnv(area=area, **asdict(corridor))
-        observation, _ = env.reset(seed=player_seed(trajectories.seed, player))
-        for _ in range(earlier):
-            observation, _ = env.reset()
+        env, observation = _begun(config, trajectories, row, corridor, trajectories.seed)
         observations, rewards = [observation], []
         terminated = truncated = False
         for action in episode.actions:
@@ -192,3 +212,54 @@ def _hidden_targets(
             return None
         found[row] = env.state.opponent_target[0]
     return found
+
+
+def begin_again(config: RunConfig, trajectories: Trajectories, number: int) -> tuple[CorridorEnv, NDArray[np.float32]]:
+    """An evaluated episode from its start, for somebody else to play.
+
+    Args:
+        config: The run.
+        trajectories: Its evaluation.
+        number: The episode's row in it.
+
+    Returns:
+        The in-process world, and its first observation, which is the recorded one.
+
+    Raises:
+        TrainerError: There is no such episode, or the in-process world doesn't begin it as it was recorded.
+    """
+    check_episode(config, trajectories, number)
+    corridor = corridor_of(config.penalty, config.environment_parameters)
+    recorded = trajectories.episodes[number].observations[0]
+    if trajectories.seed is not None and recorded.shape == (corridor.observation_size,):
+        env, observation = _begun(config, trajectories, number, corridor, trajectories.seed)
+        if np.array_equal(observation, recorded):
+            return env, observation
+    raise TrainerError(
+        f"Episode {number} of {config.run_id} can't begin here as it was recorded (another player, or parameters drawn "
+        "anew for each); drive a new episode."
+    )
+
+
+def check_episode(config: RunConfig, trajectories: Trajectories, number: int) -> None:
+    """Refuses an episode that there isn't.
+
+    Raises:
+        TrainerError: There are fewer.
+    """
+    count = len(trajectories.episodes)
+    if not 0 <= number < count:
+        raise TrainerError(f"There is no episode {number} of {config.run_id}, whose evaluation has {count}, from 0.")
+
+
+def _begun(
+    config: RunConfig, trajectories: Trajectories, number: int, corridor: CorridorConfig, seed: int
+) -> tuple[CorridorEnv, NDArray[np.float32]]:
+    """The in-process world at an episode's start: a slot's episodes follow from one another."""
+    slot = trajectories.episodes[number].slot
+    player, area = divmod(slot, config.num_areas)
+    env = CorridorEnv(area=area, **asdict(corridor))
+    observation, _ = env.reset(seed=player_seed(seed, player))
+    for _ in range(sum(other.slot == slot for other in trajectories.episodes[:number])):
+        observation, _ = env.reset()
+    return env, observation

@@ -74,6 +74,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
 
     from trainer.corridor import corridor_of
     from trainer.learning.stages import build_stages
+    from trainer.runs.estimates import with_estimates
     from trainer.runs.evaluation import evaluate
     from trainer.runs.folder import RunFolder
     from trainer.runs.training import load_trained
@@ -88,7 +89,7 @@ def play_checkpoint(run: Path, checkpoint: str) -> dict[str, Any]:
     player = DummyVecEnv([partial(_Reporting, area, seed, corridor) for area in range(EPISODES)])
     stages = build_stages(config, player)
     counters = load_trained(config, folder, stages, checkpoint)
-    episodes = evaluate(stages.model, stages.normaliser, player, EPISODES)
+    episodes = with_estimates(stages, evaluate(stages.model, stages.normaliser, player, EPISODES))
     return run_scene(config, Trajectories("Corridor", seed, counters.env_steps, episodes), EPISODES)
 
 

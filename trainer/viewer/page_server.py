@@ -7,7 +7,6 @@ import secrets
 import socket
 import sys
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -15,32 +14,44 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-import numpy as np
-
-from corridor_server.corridor.gym_env import CorridorEnv
-from corridor_server.shared.given import Range, read_json, shown
+from corridor_server.shared.given import read_json
 from trainer.errors import TrainerError
+from trainer.runs.folder import RunFolder
 from trainer.terminal import Terminal
-from trainer.viewer.corridor_scene import corridor_facts, state_row
 from trainer.viewer.document import page
+from trainer.viewer.drives import Drives, one_episode
 from trainer.viewer.live import LiveEvaluations
 from trainer.viewer.watched_runs import WatchedRuns
 
 HOST = "127.0.0.1"
 BODY_LIMIT = 4096  # bytes; a request's body is an action
-FINITE = Range()
-SESSIONS = 16  # drives that are remembered; a new one ends the oldest
 CONNECTIONS = 32  # of which a browser keeps up to six
-# What comes without a token: a page that was loaded again kept it for the tab that it is in.
+# What comes without the token. A page that was loaded again kept it for the tab that it is in.
 REFUSAL = """<!doctype html>
+<html lang="en">
+<head>
 <meta charset="utf-8">
-<title>corridor watch</title>
-<p>{}</p>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>corridor watch: no token</title>
+<style>
+:root { color-scheme: light dark; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 34em; margin: 12vh auto; padding: 0 20px; }
+</style>
+</head>
+<body>
+<main>
+<h1>This page needs its token</h1>
+<p>%s</p>
+</main>
 <script>
 const token = location.search ? null : sessionStorage.getItem("corridor-token");
-if (token) location.replace("/?token=" + encodeURIComponent(token));
+if (token) location.replace("/?token=" + encodeURIComponent(token) + location.hash);
 </script>
+</body>
+</html>
 """
+NO_TOKEN = "The address has no token; open the whole address that 'corridor watch' printed, ?token= included."
+OTHER_TOKEN = "This is another 'corridor watch' than the page's; open the address that it printed."
 
 
 def watch(results_dir: Path, port: int, console: Terminal) -> None:
@@ -52,18 +63,32 @@ def watch(results_dir: Path, port: int, console: Terminal) -> None:
         console: Told the address, which has the token in it.
 
     Raises:
-        TrainerError: The port is in use, or may not be opened.
+        TrainerError: ``results_dir`` is a file or a run, or the port is in use or may not be opened.
     """
+    _check_results(results_dir)
     try:
         server = PageServer(results_dir, port)
     except OSError as error:
         raise TrainerError(f"Port {port} can't be opened ({error.strerror}); choose another with --port.") from error
     try:
         console.print(f"Watching {results_dir}: open {server.address}")
+        if not results_dir.exists():
+            console.print(f"There is no folder {results_dir} yet; is it the right --results-dir?", style="yellow")
         console.print("Ctrl-C ends it; training goes on.")
         server.serve_forever()
     finally:
         server.server_close()
+
+
+def _check_results(results_dir: Path) -> None:
+    """Refuses what can't have runs in it."""
+    if results_dir.exists() and not results_dir.is_dir():
+        raise TrainerError(f"--results-dir is {results_dir}, which is a file, but the folder of runs was expected.")
+    if RunFolder(results_dir).configuration.is_file():
+        raise TrainerError(
+            f"--results-dir is {results_dir}, which is a run, but the folder with the runs was expected; give "
+            f"{results_dir.parent}."
+        )
 
 
 class PageServer(ThreadingHTTPServer):
@@ -86,7 +111,7 @@ class PageServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(24)
         self.live = LiveEvaluations()
         self.runs = WatchedRuns(results_dir, self.live)
-        self.drives = Drives(seed)
+        self.drives = Drives(results_dir, seed)
         self._connections: dict[Any, bool] = {}  # those that are open, oldest first: has it shown the token?
         self._places = threading.BoundedSemaphore(CONNECTIONS)
         self._lock = threading.Lock()
@@ -135,61 +160,6 @@ class PageServer(ThreadingHTTPServer):
         self.live.close()
 
 
-class Drives:
-    """Episodes that somebody drives by hand, each in a world of its own.
-
-    Args:
-        seed: Decides the episodes; None draws them anew each time.
-    """
-
-    def __init__(self, seed: int | None = None) -> None:
-        self._generator = np.random.default_rng(seed)
-        self._sessions: OrderedDict[str, tuple[CorridorEnv, threading.Lock]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def new(self) -> dict[str, Any]:
-        """Begins an episode; what the page needs to draw it."""
-        env = CorridorEnv()
-        session = secrets.token_urlsafe(12)
-        with self._lock:
-            observation, _ = env.reset(seed=int(self._generator.integers(2**31)))
-            self._sessions[session] = env, threading.Lock()
-            while len(self._sessions) > SESSIONS:
-                self._sessions.popitem(last=False)
-        return {
-            "session": session,
-            "corridor": corridor_facts(env.config),
-            "goal": env.state.goal[0].tolist(),
-            "opponent_targets": env.state.opponent_target[0].tolist(),
-            "row": {"values": state_row(observation, 0.0, (0.0, 0.0)), "outcome": None},
-        }
-
-    def step(self, session: object, action: object) -> dict[str, Any]:
-        """Applies an action for one decision.
-
-        Raises:
-            ValueError: There is no such drive, it is over, or the action is not two finite numbers.
-        """
-        key = session if isinstance(session, str) else ""
-        with self._lock:
-            found = self._sessions.get(key)
-        if found is None:
-            raise ValueError("This drive is over; begin a new episode.")
-        numbers = [FINITE.read(value) for value in action] if isinstance(action, list) else []
-        if len(numbers) != 2 or None in numbers:
-            raise ValueError(f"The action is {shown(action)}, but two numbers in [-1, 1] were expected.")
-        env, lock = found
-        with lock:
-            clipped = np.clip(np.array(numbers), -1.0, 1.0).astype(np.float32)
-            observation, reward, terminated, truncated, info = env.step(clipped)
-        outcome = None
-        if terminated or truncated:
-            outcome = "truncated" if truncated else "goal" if info["is_success"] else "failed"
-            with self._lock:
-                self._sessions.pop(key, None)
-        return {"values": state_row(observation, reward, clipped), "outcome": outcome}
-
-
 class _Handler(BaseHTTPRequestHandler):
     server: PageServer
     server_version = "corridor"
@@ -210,6 +180,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(lambda: self.server.runs.overview(query.get("run", [])))
         elif url.path == "/api/scene":
             self._answer(lambda: self.server.runs.scene(query.get("run", [""])[0]))
+        elif url.path == "/api/episode":
+            self._answer(
+                lambda: one_episode(self.server.results_dir, query.get("run", [""])[0], query.get("number", [""])[0])
+            )
         else:
             self._send(404, {"error": "There is nothing here."})
 
@@ -219,7 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             self._send(400, {"error": f"A JSON object of at most {BODY_LIMIT} bytes was expected."})
         elif self.path == "/api/drive/new":
-            self._answer(self.server.drives.new)
+            self._answer(lambda: self.server.drives.new(body.get("run"), body.get("episode")))
         elif self.path == "/api/drive/step":
             self._answer(lambda: self.server.drives.step(body.get("session"), body.get("action")))
         else:
@@ -228,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _page(self, query: dict[str, list[str]]) -> None:
         problem = self._refusal(query.get("token", [""])[0])
         if problem:
-            self._send(403, REFUSAL.format(html.escape(problem)))
+            self._send(403, REFUSAL % html.escape(problem))
             return
         data = {"mode": "watch", "token": self.server.token, "results": str(self.server.results_dir)}
         self._send(200, page(data))
@@ -251,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Origin", f"http://{hosts[0]}") not in [f"http://{host}" for host in hosts]:
             return "Only this server's own page is answered."
         if not hmac.compare_digest(token.encode(), self.server.token.encode()):
-            return "This is another 'corridor watch' than the page's; open the address that it printed."
+            return OTHER_TOKEN if token else NO_TOKEN
         self.server.keep(self.connection)
         return None
 
