@@ -174,6 +174,8 @@ def test_a_runs_corridor_and_its_evaluations_episodes_can_be_driven(page_server,
     fast_one = dataclasses.replace(settings("fast-one"), environment_parameters={"agent_speed": 3.0, "goal_x": 5.0})
     begun_run(fast_one, tmp_path / "results")
     begun = ask(page_server, "/api/drive/new", {"run": "fast-one"})[1]
+    again = ask(page_server, "/api/drive/new", {"run": "fast-one", "seed": begun["seed"]})[1]
+    assert {**again, "session": ""} == {**begun, "session": ""}
     assert begun["goal"][0] == 5.0
     moved = ask(page_server, "/api/drive/step", {"session": begun["session"], "action": [0, 1]})[1]["values"]
     env = CorridorEnv(agent_speed=3.0, goal_x=5.0)
@@ -192,6 +194,8 @@ def test_a_runs_corridor_and_its_evaluations_episodes_can_be_driven(page_server,
         ({"run": "fast", "episode": 12}, "There is no episode 12 of fast, whose evaluation has 12, from 0."),
         ({"run": "fast", "episode": -1}, "a whole number from 0"),
         ({"run": "fast", "episode": "x" * 999}, "a whole number from 0"),
+        ({"run": "fast", "seed": -1}, "a whole number from 0"),
+        ({"seed": "x"}, "a whole number from 0"),
         ({"run": "bare", "episode": 0}, "the run has not been evaluated"),
         ({"run": "moved", "episode": 0}, "Episode 0 of moved can't begin here as it was recorded"),
         ({"run": "walker"}, "only a corridor can be driven"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from corridor_server.corridor.gym_env import CorridorEnv
+from corridor_server.corridor.gym_env import CorridorEnv, Observation
 from corridor_server.shared.given import Range, shown
 from trainer.corridor import corridor_of, is_corridor
 from trainer.errors import TrainerError
@@ -18,7 +18,7 @@ from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.corridor_scene import begin_again, corridor_facts, run_scene, state_row
 
 FINITE = Range()
-EPISODES = Range(0, 2**31 - 1)
+WHOLE = Range(0, 2**31 - 1)
 SESSIONS = 16  # drives that are remembered; a new one ends the oldest
 
 
@@ -36,18 +36,19 @@ class Drives:
         self._sessions: OrderedDict[str, tuple[CorridorEnv, threading.Lock]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def new(self, run: object = None, episode: object = None) -> dict[str, Any]:
+    def new(self, run: object = None, episode: object = None, seed: object = None) -> dict[str, Any]:
         """Begins an episode; what the page needs to draw it.
 
         Args:
             run: A run's name: the corridor is the one that it was trained in. None for the player's default corridor.
             episode: A number in the run's evaluation: it begins as that one did. None for a new one.
+            seed: Of a new episode that was begun before, to begin it again.
 
         Raises:
             TrainerError: There is no such run or episode, or it can't begin here as it did.
-            ValueError: They are no name and number.
+            ValueError: They are no name and numbers.
         """
-        env, observation = self._begun(run, episode)
+        env, observation, seed = self._begun(run, episode, seed)
         session = secrets.token_urlsafe(12)
         with self._lock:
             self._sessions[session] = env, threading.Lock()
@@ -55,6 +56,7 @@ class Drives:
                 self._sessions.popitem(last=False)
         return {
             "session": session,
+            "seed": seed,
             "corridor": corridor_facts(env.config),
             "goal": env.state.goal[0].tolist(),
             "opponent_targets": env.state.opponent_target[0].tolist(),
@@ -86,28 +88,31 @@ class Drives:
                 self._sessions.pop(key, None)
         return {"values": state_row(observation, reward, clipped), "outcome": outcome}
 
-    def _begun(self, run: object, episode: object) -> tuple[CorridorEnv, np.typing.NDArray[np.float32]]:
+    def _begun(self, run: object, episode: object, seed: object) -> tuple[CorridorEnv, Observation, int | None]:
         if run is None:
-            return self._new_episode(CorridorEnv())
+            return self._new_episode(CorridorEnv(), seed)
         folder = find_run(self._results_dir, run)
         config = folder.read_config()
         behavior = folder.read_behavior().get("name", "Corridor")  # older runs have none recorded
         if not is_corridor(str(behavior)):
-            raise TrainerError(
-                f"The run {shown(run)} is of behavior {shown(behavior)}, but only a corridor can be driven."
-            )
+            raise TrainerError(f"{shown(run)} is of behavior {shown(behavior)}, but only a corridor can be driven.")
         if episode is None:
             corridor = corridor_of(config.penalty, config.environment_parameters)
-            return self._new_episode(CorridorEnv(**asdict(corridor)))
-        number = EPISODES.read(episode, whole=True)
-        if number is None:
-            raise ValueError(f"The episode is {shown(episode)}, but {EPISODES.expected(whole=True)}.")
-        return begin_again(config, load_trajectories(folder.trajectories), int(number))
+            return self._new_episode(CorridorEnv(**asdict(corridor)), seed)
+        number = _whole(episode, "episode")
+        return *begin_again(config, load_trajectories(folder.trajectories), number), None
 
-    def _new_episode(self, env: CorridorEnv) -> tuple[CorridorEnv, np.typing.NDArray[np.float32]]:
+    def _new_episode(self, env: CorridorEnv, seed: object) -> tuple[CorridorEnv, Observation, int]:
         with self._lock:
-            seed = int(self._generator.integers(2**31))
-        return env, env.reset(seed=seed)[0]
+            number = int(self._generator.integers(2**31)) if seed is None else _whole(seed, "seed")
+        return env, env.reset(seed=number)[0], number
+
+
+def _whole(value: object, what: str) -> int:
+    number = WHOLE.read(value, whole=True)
+    if number is None:
+        raise ValueError(f"The {what} is {shown(value)}, but {WHOLE.expected(whole=True)}.")
+    return int(number)
 
 
 def find_run(results_dir: Path, name: object) -> RunFolder:
@@ -136,7 +141,5 @@ def one_episode(results_dir: Path, run: str, number: str) -> dict[str, Any]:
         ValueError: The number is none.
     """
     folder = find_run(results_dir, run)
-    row = EPISODES.read(int(number), whole=True) if number.isdecimal() else None
-    if row is None:
-        raise ValueError(f"The episode is {shown(number)}, but {EPISODES.expected(whole=True)}.")
-    return {"scene": run_scene(folder.read_config(), load_trajectories(folder.trajectories), number=int(row))}
+    row = _whole(int(number) if number.isdecimal() else number, "episode")
+    return {"scene": run_scene(folder.read_config(), load_trajectories(folder.trajectories), number=row)}

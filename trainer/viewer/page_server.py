@@ -193,7 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             self._send(400, {"error": f"A JSON object of at most {BODY_LIMIT} bytes was expected."})
         elif self.path == "/api/drive/new":
-            self._answer(lambda: self.server.drives.new(body.get("run"), body.get("episode")))
+            self._answer(lambda: self.server.drives.new(*map(body.get, ("run", "episode", "seed"))))
         elif self.path == "/api/drive/step":
             self._answer(lambda: self.server.drives.step(body.get("session"), body.get("action")))
         else:

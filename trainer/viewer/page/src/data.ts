@@ -9,6 +9,12 @@ export interface Corridor {
   near_distance: number; // half-lengths
   decision_seconds: number;
   failure_return: number;
+  goal_reward: number;
+  wall_penalty: number;
+  contact_penalty: number;
+  near_penalty: number;
+  step_penalty: number;
+  failure_penalty: number;
   switch: { x: number; z: number; radius: number } | null;
 }
 
@@ -106,13 +112,6 @@ export class Track {
     return least;
   }
 
-  // Row at which the switch turned on, or null.
-  get switchRow(): number | null {
-    const column = this.columns.get("switch")!;
-    for (let row = 0; row < this.rows; row++) if (column[row] > 0.5) return row;
-    return null;
-  }
-
   push(values: Record<string, number>): void {
     for (const [name, value] of Object.entries(values)) {
       if (!this.columns.has(name)) this.columns.set(name, []);
@@ -142,34 +141,6 @@ export async function unpack(record: EpisodeRecord, corridor: Corridor): Promise
   return track;
 }
 
-// Which case of eq. 9 paid this step's reward; null if none gives this number.
-export type Case = "goal" | "wall" | "contact" | "near" | "step";
-export const CASES: Record<Case, string> = {
-  goal: "target reached, switch on",
-  wall: "into a wall",
-  contact: "touching the opponent",
-  near: "in the opponent's near zone",
-  step: "any other step",
-};
-
-export function caseOf(track: Track, row: number): { name: Case; failed: boolean } | null {
-  if (row < 1) return null;
-  const d = track.nearest(row);
-  const reward = track.at("reward", row);
-  const last = row === track.rows - 1 && track.outcome === "failed";
-  const amounts: [Case, number][] = [
-    ["goal", 1],
-    ["wall", -0.1],
-    ["contact", -0.25],
-    ["step", -0.001],
-    ["near", -0.1 - (1 - d) / 4],
-  ];
-  for (const failed of last ? [true, false] : [false])
-    for (const [name, amount] of amounts)
-      if (Math.abs(reward - amount + (failed ? 1 : 0)) < 1e-6) return { name, failed };
-  return null;
-}
-
 export function element<T extends HTMLElement>(id: string): T {
   return document.getElementById(id) as T;
 }
@@ -186,4 +157,11 @@ export function make<K extends keyof HTMLElementTagNameMap>(
 export function signed(value: number, digits: number): string {
   const text = Math.abs(value).toFixed(digits);
   return value < 0 && Number(text) !== 0 ? `−${text}` : text;
+}
+
+// Decisions as seconds, with as many digits as the decision period needs: 0.25 s is no 0.3.
+export function seconds(decisions: number, period: number): string {
+  let digits = 0;
+  while (digits < 3 && Math.abs(period * 10 ** digits - Math.round(period * 10 ** digits)) > 1e-6) digits += 1;
+  return (decisions * period).toFixed(digits);
 }

@@ -1,6 +1,8 @@
-// Driving the learner by hand, against the world in the local process.
+// Driving the learner by hand, against the world in the local process: in a run's corridor, in a new episode or in one
+// that the run's policy was evaluated on.
 
-import { CASES, Case, Corridor, Outcome, Track, caseOf, element, make, signed } from "./data";
+import { Corridor, EpisodeRecord, Outcome, Scene, Track, element, make, seconds, signed, unpack } from "./data";
+import { CASES, Case, amounts, caseOf } from "./events";
 import { Server } from "./server";
 import { Stage } from "./stage";
 
@@ -13,31 +15,71 @@ const KEYS: Record<string, [number, number]> = {
   ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [-1, 0], ArrowRight: [1, 0],
   w: [0, 1], s: [0, -1], a: [-1, 0], d: [1, 0],
 };
-const RESULT = {
-  goal: "Target reached.", failed: "Failed: the rewards added up to −1, so eq. 9's episode ends and 1 more is subtracted.",
-  truncated: "Cut by the step limit.", ended: "Ended.",
-};
+const RESULT = { goal: "Target reached.", failed: "Failed.", truncated: "Cut by the step limit.", ended: "Ended." };
+const DEFAULT = ""; // the choice of no run: the player's default corridor
+
+interface Begun {
+  session: string;
+  seed: number | null;
+  corridor: Corridor;
+  goal: [number, number];
+  opponent_targets: [number, number][];
+  row: Row;
+}
 
 export class Drive {
+  // A run's recorded evaluation, whose episodes can be driven; null if it has none.
+  sceneOf: (run: string) => Promise<Scene | null> = async () => null;
   private readonly down = new Set<string>();
+  private readonly runs = element<HTMLSelectElement>("drive-run");
+  private readonly episodes = element<HTMLSelectElement>("drive-episode");
   private pad: [number, number] = [0, 0];
   private track: Track | null = null;
   private session = "";
+  private seed: number | null = null; // of a new episode, to begin it again
+  private record: EpisodeRecord | null = null; // whose start it is
+  private scene: Scene | null = null;
   private active = false;
   private game = 0;
   private counts = new Map<Case | "failure", { steps: number; sum: number }>();
 
   constructor(private readonly stage: Stage, private readonly server: Server, private readonly onError: (message: string) => void) {
-    element("new-episode").addEventListener("click", () => void this.begin());
+    element("again").addEventListener("click", () => void this.begin(true));
+    element("new-episode").addEventListener("click", () => this.another());
+    this.runs.append(make("option", "the player's default", { value: DEFAULT }));
+    this.runs.addEventListener("change", () => void this.enter(this.runs.value));
+    this.episodes.addEventListener("change", () => {
+      this.choose(this.episodes.value === "" ? null : Number(this.episodes.value));
+      void this.begin(false);
+    });
     window.addEventListener("blur", () => this.down.clear());
     this.makePad();
   }
 
-  async enter(): Promise<void> {
+  // The runs that there are; a choice stays.
+  setRuns(names: string[]): void {
+    const all = [...names, DEFAULT];
+    if (all.join("/") === [...this.runs.options].map((option) => option.value).join("/")) return;
+    const before = this.runs.value;
+    this.runs.replaceChildren(...all.map((name) => make("option", name || "the player's default", { value: name })));
+    this.runs.value = all.includes(before) ? before : DEFAULT;
+  }
+
+  // run: in whose corridor; episode: as which of its evaluation's episodes it begins, or null for a new one.
+  async enter(run: string, episode: number | null = null): Promise<void> {
     this.active = true;
-    element("joystick").hidden = false;
-    if (this.track) this.stage.show(this.track, this.track.rows - 1);
-    else await this.begin();
+    this.game += 1;
+    element("drive-controls").hidden = false;
+    this.runs.value = run;
+    this.scene = run === DEFAULT ? null : await this.sceneOf(run).catch(() => null);
+    if (!this.active || this.runs.value !== run) return;
+    this.episodes.replaceChildren(
+      make("option", "new each time", { value: "" }),
+      ...(this.scene?.episodes ?? []).map((record) =>
+        make("option", `episode ${record.number}, ${record.outcome === "goal" ? "reached" : "not reached"}, ${signed(record.return, 2)}`, { value: String(record.number) })),
+    );
+    this.choose(episode);
+    await this.begin(false);
   }
 
   leave(): void {
@@ -45,13 +87,25 @@ export class Drive {
     this.game += 1;
     this.down.clear();
     this.track = null;
-    element("joystick").hidden = true;
+    this.stage.ghost = null;
+    element("drive-controls").hidden = true;
+  }
+
+  private choose(episode: number | null): void {
+    this.record = this.scene?.episodes.find((record) => record.number === episode) ?? null;
+    this.episodes.value = this.record ? String(this.record.number) : "";
+  }
+
+  private another(): void {
+    this.choose(null);
+    void this.begin(false);
   }
 
   // Returns whether the key drives.
   keyDown(event: KeyboardEvent): boolean {
     const name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    if (name === "r") void this.begin();
+    if (name === "r") void this.begin(true);
+    else if (name === "n") this.another();
     else if (name in KEYS) this.down.add(name);
     else return false;
     return true;
@@ -70,19 +124,27 @@ export class Drive {
     return [Math.max(-1, Math.min(1, x)), Math.max(-1, Math.min(1, z))];
   }
 
-  private async begin(): Promise<void> {
+  // again: the episode that was driven last, from its start.
+  private async begin(again: boolean): Promise<void> {
     const game = ++this.game;
+    const { record, scene } = this;
     try {
-      const begun: { session: string; corridor: Corridor; goal: [number, number]; opponent_targets: [number, number][]; row: Row } =
-        await this.server.post("api/drive/new", {});
+      const begun: Begun = await this.server.post("api/drive/new", {
+        run: this.runs.value || null, episode: record?.number ?? null, seed: again ? this.seed : null,
+      });
+      const ghost = record && scene ? await unpack(record, scene.corridor) : null;
       if (game !== this.game) return;
       this.session = begun.session;
+      this.seed = begun.seed;
       const track = new Track(begun.corridor, begun.goal, begun.opponent_targets, begun.opponent_targets.length, null);
       track.push(begun.row.values);
       this.track = track;
       this.counts.clear();
-      element("drive-result").textContent = "The clock starts with your first move.";
+      const beat = record ? ` The policy's return was ${signed(record.return, 3)}: beat it.` : "";
+      element("drive-result").textContent = `The clock starts with your first move.${beat}`;
+      element("drive-title").textContent = record ? `You drive episode ${record.number}` : "You drive";
       this.account();
+      this.stage.ghost = ghost;
       this.stage.show(track);
       void this.run(game, track);
     } catch (error) {
@@ -115,12 +177,22 @@ export class Drive {
       this.account();
       this.stage.grown(row.outcome !== null || track.rows % 5 === 0);
       if (row.outcome) {
-        element("drive-result").textContent = `${RESULT[row.outcome]} Return ${signed(track.returns.at(-1)!, 3)}.`;
+        element("drive-result").textContent = this.result(track, row.outcome);
         return;
       }
       next = Math.max(next + period, performance.now());
       await pause(next - performance.now());
     }
+  }
+
+  private result(track: Track, outcome: Outcome): string {
+    const { corridor } = track;
+    const mine = track.returns.at(-1)!;
+    const time = (rows: number) => `${seconds(rows, corridor.decision_seconds)} s`;
+    const own = `${RESULT[outcome]} Return ${signed(mine, 3)} in ${time(track.rows - 1)}`;
+    if (!this.record) return `${own}.`;
+    const verdict = mine > this.record.return ? "beaten" : "not beaten";
+    return `${own}; the policy's ${signed(this.record.return, 3)} in ${time(this.record.length)} is ${verdict}.`;
   }
 
   private account(): void {
@@ -132,8 +204,9 @@ export class Drive {
       this.counts.set(name, { steps: count.steps + 1, sum: count.sum + reward });
     };
     if (found) {
-      add(found.name, track.at("reward", row) + (found.failed ? 1 : 0));
-      if (found.failed) add("failure", -1);
+      const penalty = track.corridor.failure_penalty;
+      add(found.name, track.at("reward", row) + (found.failed ? penalty : 0));
+      if (found.failed) add("failure", -penalty);
     }
     const line = (name: Case | "failure", text: string, amount: string) => {
       const count = this.counts.get(name);
@@ -146,10 +219,12 @@ export class Drive {
     };
     const total = make("tr", "", { className: "total" });
     total.append(make("td", "return"), make("td", `${row}×`, { className: "number" }), make("td", signed(track.returns[row], 3), { className: "number" }));
+    const pays = amounts(track.corridor);
+    const failure = track.corridor;
     element("accrued").replaceChildren(
-      line("goal", CASES.goal, "1"), line("wall", CASES.wall, "−0.1"), line("contact", CASES.contact, "−0.25"),
-      line("near", "in the near zone", "−0.1 − (1 − d_opp) / 4"), line("step", CASES.step, "−0.001"),
-      line("failure", "failed, at a return of −1", "−1"), total,
+      line("goal", CASES.goal, pays.goal), line("wall", CASES.wall, pays.wall), line("contact", CASES.contact, pays.contact),
+      line("near", "in the near zone", pays.near), line("step", CASES.step, pays.step),
+      line("failure", `failed, at a return of ${signed(failure.failure_return, 0)}`, signed(-failure.failure_penalty, 1).replace(".0", "")), total,
     );
   }
 

@@ -1,7 +1,7 @@
 // Colours by role, from the style sheet, so that canvases follow light and dark.
 
 const NAMES = [
-  "learner", "opponent", "switch", "back", "panel", "text", "muted", "line", "floor", "wall", "grid", "sky",
+  "learner", "learner-text", "opponent", "opponent-text", "switch", "switch-text", "back", "panel", "text", "muted", "line", "floor", "wall", "grid", "sky",
   "action-x", "action-z",
 ] as const;
 export type Theme = Record<(typeof NAMES)[number], string> & { dark: boolean };

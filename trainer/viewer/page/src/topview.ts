@@ -12,7 +12,8 @@ export class TopView {
     this.context = canvas.getContext("2d")!;
   }
 
-  draw(track: Track, time: number, theme: Theme): void {
+  // ghost: another way through the same episode, shown faintly at the same time.
+  draw(track: Track, time: number, theme: Theme, ghost: Track | null): void {
     const { canvas, context: g } = this;
     const ratio = window.devicePixelRatio || 1;
     const width = Math.round(canvas.clientWidth * ratio);
@@ -36,14 +37,14 @@ export class TopView {
     if (c.switch) {
       const { x, z, radius } = c.switch;
       this.disc(x, z, radius, theme.switch, on ? 0.85 : 0.12);
-      this.ring(x, z, radius, theme.switch, 2 * pixel);
-      this.label(on ? ["switch", "on"] : ["switch", "off"], x, z, radius, on ? (theme.dark ? "#10231c" : "#ffffff") : theme.text, pixel);
+      this.ring(x, z, radius, theme["switch-text"], 2 * pixel);
+      this.label(on ? ["switch", "on"] : ["switch", "off"], x, z, radius, on ? "#10231c" : theme.text, pixel);
     }
     const targetSize = c.opponent_radius;
     for (const [x, z] of track.targets ?? []) this.block(x, z, targetSize, theme.opponent);
     const [goalX, goalZ] = track.goal;
     this.block(goalX, goalZ, c.agent_radius, theme.learner);
-    this.ring(goalX, goalZ, c.goal_radius, theme.learner, 1.5 * pixel);
+    this.ring(goalX, goalZ, c.goal_radius, theme["learner-text"], 1.5 * pixel);
 
     const near = c.near_distance * c.half_length;
     for (let k = 0; k < track.opponents; k++) {
@@ -53,13 +54,19 @@ export class TopView {
       this.ring(x, z, near, theme.opponent, 1.2 * pixel, [4 * pixel, 3 * pixel]);
     }
     for (let k = 0; k < track.opponents; k++) this.trail(track, `op${k}`, time, theme.opponent, pixel);
-    this.trail(track, "p", time, theme.learner, pixel);
+    if (ghost) {
+      const at = Math.min(time, ghost.rows - 1);
+      this.trail(ghost, "p", at, theme["learner-text"], pixel, [5 * pixel, 4 * pixel]);
+      this.ring(...ghost.place("p", at), c.agent_radius, theme["learner-text"], 2 * pixel, [3 * pixel, 2 * pixel]);
+    }
+    this.trail(track, "p", time, theme["learner-text"], pixel);
     for (let k = 0; k < track.opponents; k++) {
       const [x, z] = track.place(`op${k}`, time);
       this.disc(x, z, c.opponent_radius, theme.opponent, 1);
     }
     const [x, z] = track.place("p", time);
     this.disc(x, z, c.agent_radius, theme.learner, 1);
+    this.ring(x, z, c.agent_radius, theme["learner-text"], 1.5 * pixel);
     if (row + 1 < track.rows || track.outcome === null)
       this.arrow(x, z, track.at("a_x", Math.min(row + 1, track.rows - 1)), track.at("a_z", Math.min(row + 1, track.rows - 1)), theme.text, pixel);
   }
@@ -93,7 +100,7 @@ export class TopView {
     g.globalAlpha = 1;
   }
 
-  private trail(track: Track, name: string, time: number, colour: string, pixel: number): void {
+  private trail(track: Track, name: string, time: number, colour: string, pixel: number, dash: number[] = []): void {
     const g = this.context;
     const scale = track.corridor.half_length;
     const xs = track.columns.get(`${name}_x`)!;
@@ -102,11 +109,13 @@ export class TopView {
     g.globalAlpha = 0.75;
     g.lineWidth = 2 * pixel;
     g.lineJoin = "round";
+    g.setLineDash(dash);
     g.beginPath();
     g.moveTo(xs[0] * scale, zs[0] * scale);
     for (let row = 1; row <= time && row < track.rows; row++) g.lineTo(xs[row] * scale, zs[row] * scale);
     g.lineTo(...track.place(name, time));
     g.stroke();
+    g.setLineDash([]);
     g.globalAlpha = 1;
   }
 

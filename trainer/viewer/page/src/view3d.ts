@@ -31,13 +31,20 @@ export class View3D {
   private trails: { line: Line2; name: string; rows: number }[] = [];
   private built: { track: Track; theme: Theme } | null = null;
   private homeAspect = 0; // that the camera was placed for; 0 before, NaN once the user has moved it
+  private followed: Vector3 | null = null; // where the learner was when the camera last went with it
 
   // Throws where there is no WebGL.
   constructor(private readonly canvas: HTMLCanvasElement, onChange: () => void) {
     this.renderer = new WebGLRenderer({ canvas, antialias: true });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
+    // The page scrolls under a wheel and under a finger that goes up or down; Ctrl and the wheel, or two fingers, zoom.
+    const scrolls = (event: WheelEvent) => {
+      if (!event.ctrlKey && !event.metaKey) event.stopImmediatePropagation();
+    };
+    canvas.addEventListener("wheel", scrolls, { capture: true, passive: true });
     this.controls = new OrbitControls(this.camera, canvas);
+    canvas.style.touchAction = "pan-y";
     this.controls.enableDamping = false;
     this.controls.maxPolarAngle = 1.5;
     this.controls.addEventListener("change", onChange);
@@ -69,6 +76,23 @@ export class View3D {
     this.controls.update();
   }
 
+  get following(): boolean {
+    return this.followed !== null;
+  }
+
+  // Lets the camera go with the learner, from nearer by; without, it stays where it is.
+  setFollowing(on: boolean, corridor?: Track["corridor"]): void {
+    if (on === this.following || !corridor) return;
+    if (on) {
+      this.homeAspect = NaN;
+      this.followed = new Vector3().copy(this.learner?.position ?? this.controls.target);
+      const nearer = this.camera.position.clone().sub(this.controls.target).multiplyScalar(0.45);
+      this.controls.target.copy(this.followed);
+      this.camera.position.copy(this.followed).add(nearer);
+      this.controls.update();
+    } else this.followed = null;
+  }
+
   draw(track: Track, time: number, theme: Theme): void {
     const width = this.canvas.clientWidth;
     const height = this.canvas.clientHeight;
@@ -87,6 +111,13 @@ export class View3D {
     const c = track.corridor;
     const row = Math.min(Math.floor(time), track.rows - 1);
     place(this.learner, track.place("p", time), c.agent_radius);
+    if (this.followed) {
+      const moved = this.learner.position.clone().sub(this.followed);
+      this.followed.copy(this.learner.position);
+      this.controls.target.add(moved);
+      this.camera.position.add(moved);
+      this.camera.lookAt(this.controls.target);
+    }
     this.opponents.forEach((mesh, k) => {
       const at = track.place(`op${k}`, time);
       place(mesh, at, c.opponent_radius);
