@@ -40,7 +40,8 @@ def open_drive(open_page: Open, page_server: PageServer, **options: Any) -> Any:
 def reached(opened: Any) -> None:
     until(opened, "document.querySelector('#drive-result').innerText.startsWith('Target reached.')")
     total = opened.evaluate("corridor.stage.track.returns.at(-1)")
-    assert opened.inner_text("#drive-result").endswith(f"Return {total:.3f}.".replace("-", MINUS))
+    seconds = opened.evaluate("corridor.stage.end") / 10
+    assert opened.inner_text("#drive-result").endswith(f"Return {total:.3f} in {seconds:.1f} s.".replace("-", MINUS))
     assert opened.locator("#accrued .now").inner_text().startswith("target reached")
     cells = opened.locator("#accrued tr td:last-child").all_inner_texts()
     sums = [float(text.replace(MINUS, "-")) for text in cells if text]

@@ -125,7 +125,7 @@ def test_episodes_are_chosen_by_kind(open_page, replay, scene):
     assert all(len(numbers) > 1 for numbers in kinds.values())
     for kind, expected in kinds.items():
         opened.click(f"[data-filter={kind}]")
-        assert opened.eval_on_selector_all("#episode-list button", numbers) == expected
+        assert opened.eval_on_selector_all("#episode-list [role=option]", numbers) == expected
     opened.click("[data-filter=failures]")
     shown(opened, kinds["failures"][0])
     opened.keyboard.press("ArrowDown")

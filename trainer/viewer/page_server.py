@@ -33,8 +33,11 @@ REFUSAL = """<!doctype html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>corridor watch: no token</title>
+<link rel="icon" href="data:,">
 <style>
 :root { color-scheme: light dark; }
+html { background: #f7f7f5; color: #1e2227; }
+@media (prefers-color-scheme: dark) { html { background: #15171a; color: #e7e7e3; } }
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 34em; margin: 12vh auto; padding: 0 20px; }
 </style>
 </head>

@@ -164,6 +164,11 @@ export class Stage {
     return this.frames;
   }
 
+  // Where the camera looks, x, y and z in metres; null without WebGL.
+  get cameraTarget(): number[] | null {
+    return this.view3d?.lookedAt ?? null;
+  }
+
   private repaint(): void {
     this.theme = theme();
     this.drawCharts();

@@ -68,7 +68,7 @@ export class TopView {
     this.disc(x, z, c.agent_radius, theme.learner, 1);
     this.ring(x, z, c.agent_radius, theme["learner-text"], 1.5 * pixel);
     if (row + 1 < track.rows || track.outcome === null)
-      this.arrow(x, z, track.at("a_x", Math.min(row + 1, track.rows - 1)), track.at("a_z", Math.min(row + 1, track.rows - 1)), theme.text, pixel);
+      this.arrow(x, z, c.agent_radius, track.at("a_x", Math.min(row + 1, track.rows - 1)), track.at("a_z", Math.min(row + 1, track.rows - 1)), theme.text, pixel);
   }
 
   private disc(x: number, z: number, radius: number, colour: string, opacity: number): void {
@@ -119,8 +119,8 @@ export class TopView {
     g.globalAlpha = 1;
   }
 
-  // The action: the velocity that the learner wants.
-  private arrow(x: number, z: number, ax: number, az: number, colour: string, pixel: number): void {
+  // The action, from the learner's rim: the velocity that it wants.
+  private arrow(x: number, z: number, radius: number, ax: number, az: number, colour: string, pixel: number): void {
     const length = Math.hypot(ax, az);
     if (length < 0.05) return;
     const g = this.context;
@@ -129,8 +129,9 @@ export class TopView {
     g.lineWidth = 1.8 * pixel;
     g.lineCap = "round";
     g.beginPath();
-    g.moveTo(x, z);
-    const [tipX, tipZ] = [x + reach * ax, z + reach * az];
+    const [beginX, beginZ] = [x + (radius * ax) / length, z + (radius * az) / length];
+    g.moveTo(beginX, beginZ);
+    const [tipX, tipZ] = [beginX + reach * ax, beginZ + reach * az];
     g.lineTo(tipX, tipZ);
     for (const turn of [2.6, -2.6]) {
       const angle = Math.atan2(az, ax) + turn;

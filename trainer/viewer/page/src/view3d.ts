@@ -80,6 +80,10 @@ export class View3D {
     return this.followed !== null;
   }
 
+  get lookedAt(): number[] {
+    return this.controls.target.toArray();
+  }
+
   // Lets the camera go with the learner, from nearer by; without, it stays where it is.
   setFollowing(on: boolean, corridor?: Track["corridor"]): void {
     if (on === this.following || !corridor) return;

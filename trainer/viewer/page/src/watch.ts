@@ -162,7 +162,7 @@ export function watch(data: { token: string; results: string }, stage: Stage, li
     }
     const run = known.get(choice.value);
     if (!run) return none;
-    if (!run.scene) return run.problem ?? "No evaluated episode yet; the first one comes with the run's first checkpoint.";
+    if (!run.scene) return missed || (run.problem ?? "No evaluated episode yet; the first one comes with the run's first checkpoint.");
     const stamp = `${run.name} ${run.scene}`;
     const looking = !stage.isPlaying && stage.time > 0 && stage.time < stage.end;
     if (stamp !== sceneShown && looking && sceneShown.startsWith(`${run.name} `))
