@@ -1,12 +1,16 @@
-"""Driving the learner by hand in the page, with keys and with touch, in headless Chromium."""
+"""Driving the learner by hand in the page, with keys and with touch: in a run's corridor, and against its policy."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Open
-from page_in_browser import MINUS, PHONE, compare, until
+from conftest import Open, in_each_browser
+from eventful import eventful
+from page_in_browser import MINUS, PHONE, compare, settle, shown, until
+from recorded_run import begun_run, settings
 
+from trainer.runs.trajectories import save_trajectories
 from trainer.viewer.page_server import PageServer
 
 
@@ -93,3 +97,90 @@ def test_touch_drives_the_learner_to_the_target(open_page, page_server):
         opened.wait_for_timeout(30)
     send("touchEnd")
     reached(opened)
+
+
+@in_each_browser
+def test_a_runs_own_corridor_is_driven_and_begun_again(open_page, page_server, tmp_path):
+    config = dataclasses.replace(settings("wide"), environment_parameters={"goal_x": 4.0, "wall_penalty": 0.5})
+    begun_run(config, tmp_path / "results")
+    opened = open_page(page_server.address)
+    until(opened, "document.querySelector('#runs').innerText.includes('wide')")
+    opened.click("[data-tab=drive]")
+    until(opened, "corridor.stage.track?.goal[0] === 4")
+    assert opened.input_value("#drive-run") == "wide"
+    assert f"into a wall\n{MINUS}0.5" in opened.inner_text("#accrued")
+    assert opened.evaluate("document.activeElement.id") == "joystick"
+    begin = "[...corridor.stage.track.columns].map(([name, values]) => values[0])"
+    first = opened.evaluate(begin)
+    opened.keyboard.down("ArrowUp")
+    until(opened, "corridor.stage.track.rows > 3")
+    opened.keyboard.up("ArrowUp")
+    opened.keyboard.press("r")  # the same start
+    until(opened, "corridor.stage.track.rows === 1")
+    assert opened.evaluate(begin) == first
+    opened.keyboard.press("n")  # another one
+    until(opened, f"JSON.stringify({begin}) !== JSON.stringify({first})")
+    opened.select_option("#drive-run", "")
+    until(opened, "corridor.stage.track.goal[0] === 9")
+
+
+@in_each_browser
+def test_an_episode_of_the_evaluation_is_there_to_be_beaten(open_page, page_server, tmp_path):
+    config, trajectories = eventful("bad")
+    save_trajectories(begun_run(config, tmp_path / "results").trajectories, trajectories)
+    episode = trajectories.episodes[1]
+    total = f"{episode.rewards.sum():.3f}".replace("-", MINUS)
+    opened = open_page(f"{page_server.address}#run=bad&episode=1&t=2", has_touch=True)
+    shown(opened, 1)
+    until(opened, "!document.querySelector('#beat').disabled")
+    opened.focus("#beat")
+    opened.keyboard.press("Enter")
+    until(opened, "document.querySelector('#drive-result').innerText.includes('beat it')")
+    assert f"The policy's return was {total}" in opened.inner_text("#drive-result")
+    assert opened.inner_text("#drive-title") == "You drive episode 1"
+    assert opened.evaluate("corridor.stage.ghost.rows") == len(episode.observations)
+    for name, index in (("p_x", 0), ("p_z", 1), ("op0_x", 8), ("op0_z", 9)):
+        start = opened.evaluate(f"corridor.stage.track.at('{name}', 0)")
+        assert start == episode.observations[0, index]
+    opened.keyboard.down("ArrowLeft")  # into the wall, ten times a second
+    until(opened, "document.querySelector('#drive-result').innerText.startsWith('Failed.')")
+    opened.keyboard.up("ArrowLeft")
+    mine = opened.evaluate("corridor.stage.track.returns.at(-1)")
+    assert mine > episode.rewards.sum()
+    assert opened.inner_text("#drive-result").endswith(
+        f"the policy's {total} in {len(episode.rewards) / 10:.1f} s is beaten."
+    )
+    opened.locator("#again").tap()
+    until(opened, "corridor.stage.track.rows === 1")
+    assert opened.evaluate("corridor.stage.track.at('p_x', 0)") == episode.observations[0, 0]
+    opened.click("[data-tab=episodes]")
+    shown(opened, 1)
+    assert opened.evaluate("corridor.stage.ghost") is None
+
+
+@in_each_browser
+def test_on_a_phone_a_view_the_pad_and_a_restart_fit_one_screen(open_page, page_server, tmp_path):
+    config, trajectories = eventful("bad")
+    save_trajectories(begun_run(config, tmp_path / "results").trajectories, trajectories)
+    opened = open_page(f"{page_server.address}#run=bad&episode=1&t=2", viewport=PHONE, has_touch=True)
+    shown(opened, 1)
+    until(opened, "!document.querySelector('#beat').disabled")
+    opened.locator("#beat").tap()
+    until(opened, "document.querySelector('#drive-result').innerText.includes('beat it')")
+    settle(opened)
+    assert opened.evaluate("scrollY") == 0
+    for selector in ("#tabs", "#canvas-top", "#readout", "#joystick", "#again", "#new-episode", "#drive-result"):
+        box = opened.locator(selector).bounding_box()
+        for side, size in (("x", "width"), ("y", "height")):
+            assert 0 <= box[side] <= box[side] + box[size] <= PHONE[size], selector
+    assert not opened.is_visible("#view3d")
+    assert opened.locator("#canvas-top").bounding_box()["width"] > 350
+
+
+def test_a_corridor_that_cant_be_driven_is_one_sentence(open_page, page_server, tmp_path):
+    folder = begun_run(settings("walker"), tmp_path / "results")
+    folder.configuration.write_text(folder.configuration.read_text() + "\nbehavior: {name: Walker}\n")
+    opened = open_page(page_server.address)
+    until(opened, "document.querySelector('#runs').innerText.includes('walker')")
+    opened.click("[data-tab=drive]")
+    until(opened, "document.querySelector('#notes').innerText.includes('only a corridor can be driven')")

@@ -116,15 +116,17 @@ def _whole(value: object, what: str) -> int:
 
 
 def find_run(results_dir: Path, name: object) -> RunFolder:
-    """A run by its name, which is compared and never made a path of.
+    """A run by its path in the results folder, which is compared and never made a path of.
 
     Raises:
         TrainerError: There is none.
     """
     try:
-        for path in results_dir.glob("*/configuration.yaml"):
-            if path.parent.name == name and "~" not in path.parent.name:  # drafts have one
-                return RunFolder(path.parent)
+        for depth in ("*", "*/*"):  # a study's runs are in its folder
+            for path in results_dir.glob(f"{depth}/configuration.yaml"):
+                run = path.parent
+                if run.relative_to(results_dir).as_posix() == name and "~" not in run.name:  # drafts have one
+                    return RunFolder(run)
     except OSError:
         pass
     raise TrainerError(f"The run {shown(name)} is gone.")
