@@ -110,7 +110,7 @@ class Simulation(ABC):
         return None
 
     def forgo_snapshots(self) -> None:  # noqa: B027 - most keep nothing for them
-        """Is told before the first reset that the trainer will ask for no snapshots, so that nothing is kept for any."""
+        """Is told before the first reset that the trainer will ask for no snapshots: nothing has to be kept for any."""
 
     def restore(self, rows: NDArray[np.void]) -> None:
         """Takes up what ``snapshot`` gave.
