@@ -12,6 +12,7 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
+from corridor_server.shared.given import shown
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import is_corridor
 from trainer.curriculum import Curricula
@@ -265,6 +266,12 @@ def _as_slots(config: RunConfig, logs: PlayerLogs, number: int, player: Connecte
     environment = player.environment
     try:
         with player_errors(logs, number):
+            found = only_behavior(environment)[0].partition("?")[0]
+            if config.behavior not in (None, found):
+                raise TrainerError(
+                    f"The file has settings for the behavior {shown(config.behavior)}, but the player's is "
+                    f"{shown(found)}; rename it there."
+                )
             if config.env != BUILTIN and is_corridor(only_behavior(environment)[0]):
                 tell_corridor(config, player.parameters)
                 if not config.through_gym:  # UnityToGymWrapper begins with a reset
