@@ -121,8 +121,9 @@ def test_a_studys_runs_are_one_click_from_their_replay_and_back(report, open_pag
 @in_each_browser
 def test_a_replay_has_no_way_back_to_anything_but_a_report(report, study, open_page):
     replay = (study / "c0-seed4" / "replay.html").as_uri()
+    opened = open_page(replay)
     for place in ("", "?from=https://evil.example/report.html", "?from=javascript:alert(1)//report.html", "?from=x"):
-        opened = open_page(replay + place)
+        opened.goto(replay + place)
         opened.wait_for_selector("#episode-list li")
         assert opened.locator("a.back").count() == 0
 

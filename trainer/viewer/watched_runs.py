@@ -18,7 +18,7 @@ from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.live import LiveEvaluations
 
-LISTED = 300  # runs, those with the latest news
+LISTED = 200  # runs, those with the latest news
 CURVES = (
     "env_steps",
     "wall_seconds",

@@ -32,15 +32,13 @@ export class RunList {
       const row = this.rows.get(run.name) ?? this.add(run.name);
       row.box.checked = this.chosen.has(run.name);
       put(row.status, run.status);
-      const { evaluation } = run;
-      const success = evaluation?.success_rate ?? run.success_rate;
       put(row.facts, [
         run.env_steps === null ? null : `${run.env_steps.toLocaleString("en")} steps`,
-        success === null ? null : success === 0 ? "no successes" : `success ${Math.round(100 * success)}%`,
-        typeof evaluation?.wall_contact_rate === "number" ? `wall contact ${Math.round(100 * evaluation.wall_contact_rate)}%` : null,
+        run.success_rate === null ? null : `success ${percent(run.success_rate)}`,
         run.steps_per_second === null ? null : `${Math.round(run.steps_per_second).toLocaleString("en")} steps/s`,
         run.c === null ? null : `c ${run.c}`,
         run.seed === null ? null : `seed ${run.seed}`,
+        run.evaluation && evaluated(run.evaluation),
         run.problem,
       ].filter(Boolean).join(" · "));
     }
@@ -86,6 +84,17 @@ export class RunList {
     }
     return list;
   }
+}
+
+function evaluated({ success_rate, wall_contact_rate }: Record<string, number | null>): string | null {
+  const success = success_rate === null ? null : success_rate === 0 ? "no successes" : `success ${percent(success_rate)}`;
+  const contact = wall_contact_rate === null ? null : `wall contact ${percent(wall_contact_rate)}`;
+  const facts = [success, contact].filter(Boolean).join(", ");
+  return facts && `in its evaluation ${facts}`;
+}
+
+function percent(share: number): string {
+  return `${Math.round(100 * share)}%`;
 }
 
 function put(node: HTMLElement, text: string): void {
