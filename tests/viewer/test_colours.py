@@ -8,7 +8,7 @@ import pytest
 import trainer.viewer
 from corridor_server.corridor import colours
 
-STYLE = Path(trainer.viewer.__file__).parent / "page" / "src" / "page.css"
+SOURCES = Path(trainer.viewer.__file__).parent / "page" / "src"
 GROUNDS = ("back", "panel")
 PICTURE = ("floor", "sky")
 # What is read as text, and what is seen as a mark, each with what it stands on (WCAG 1.4.3 and 1.4.11).
@@ -40,8 +40,9 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def palette(scheme: str) -> dict[str, str]:
-    light, _, rest = STYLE.read_text().partition("@media (prefers-color-scheme: dark)")
+def palette(scheme: str, sheet: str = "page.css") -> dict[str, str]:
+    """A style sheet's colours by name; the sheets import nothing, and are read as text."""
+    light, _, rest = (SOURCES / sheet).read_text().partition("@media (prefers-color-scheme: dark)")
     return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6});", light if scheme == "light" else rest))
 
 
@@ -70,3 +71,14 @@ def test_text_and_marks_stand_out(scheme):
     }
     assert weak == {}
     assert set(palette("light")) == set(palette("dark"))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_runs_colour_stands_out(scheme):
+    behind, lines = palette(scheme), palette(scheme, "learning.css")
+    number = int(re.search(r"COLOURS = (\d+)", (SOURCES / "runstyle.ts").read_text())[1])
+    assert set(lines) == {f"run-{index}" for index in range(number)}
+    assert len(set(lines.values())) == number
+    for name, colour in lines.items():
+        for ground in GROUNDS:
+            assert contrast(colour, behind[ground]) >= 3, (name, ground)

@@ -7,7 +7,7 @@ import { PageData, Scene, element, seconds } from "./data";
 import { EpisodeList } from "./episodes";
 import { onKeys, stageKeys } from "./keys";
 import { END, Stage, speak } from "./stage";
-import { showStudy } from "./study";
+import { showStudy, wayBack } from "./study";
 import { describe, say } from "./words";
 import { watch } from "./watch";
 
@@ -31,6 +31,7 @@ function replay(scene: Scene, stage: Stage, list: EpisodeList): void {
   element("title").textContent = "Replay";
   document.title = `${scene.run.run_id} · corridor replay`;
   element("subtitle").textContent = describe(scene);
+  element("subtitle").after(...[wayBack()].filter((link) => link !== null));
   element("episodes").hidden = false;
   onKeys(stageKeys(stage, list));
   const open = async () => {

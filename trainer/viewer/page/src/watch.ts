@@ -5,7 +5,7 @@ import { Scene, Track, element, make, seconds, unpack } from "./data";
 import { Drive } from "./drive";
 import { EpisodeList } from "./episodes";
 import { onKeys, stageKeys } from "./keys";
-import { Curves, Learning, RunState } from "./learning";
+import { Learning, Overview, RunState } from "./learning";
 import { Server } from "./server";
 import { Second, Stage } from "./stage";
 import { Tabs } from "./tabs";
@@ -30,7 +30,6 @@ export function watch(data: { token: string; results: string }, stage: Stage, li
   const learning = new Learning();
   const drive = new Drive(stage, server, say);
   const known = new Map<string, RunState>();
-  const curves = new Map<string, Curves>();
   const scenes = new Map<string, { stamp: string; scene: Scene }>(); // what was seen stays, should its run vanish
   const choice = element<HTMLSelectElement>("episode-run");
   const beside = element<HTMLSelectElement>("beside-run");
@@ -108,7 +107,7 @@ export function watch(data: { token: string; results: string }, stage: Stage, li
     }
     const kept = scenes.get(choice.value);
     if (next === "episodes" && before === "drive" && kept && sceneShown) void list.setScene(kept.scene, list.current?.number);
-    if (next === "learning") learning.update([...known.values()], curves);
+    if (next === "learning") learning.draw();
     if (next !== "episodes") writePlace(null);
     say();
     void poll();
@@ -200,23 +199,20 @@ export function watch(data: { token: string; results: string }, stage: Stage, li
     if (polling) return;
     polling = true;
     try {
-      const asked = [...learning.chosen].map((name) => `run=${encodeURIComponent(name)}`).join("&");
-      const answer: { runs: RunState[]; curves: Record<string, Curves> } = await server.get(`api/runs?${asked}`);
+      const asked = learning.wanted.map((name) => `run=${encodeURIComponent(name)}`).join("&");
+      const answer: Overview = await server.get(`api/runs?${asked}`);
       const first = known.size === 0;
       const present = new Set(answer.runs.map((run) => run.name));
       for (const run of answer.runs) known.set(run.name, run);
       for (const [name, run] of known)
         if (!present.has(name)) known.set(name, { ...run, status: "gone", problem: "Its folder is gone; shown is what was read before." });
-      for (const [name, curve] of Object.entries(answer.curves)) curves.set(name, curve);
-      if (first && answer.runs.length) {
-        learning.chosen.add(answer.runs[0].name);
-        setTimeout(poll); // for its curves
-      }
+      if (first && answer.runs.length) learning.chosen.add(answer.runs[0].name);
       const names = [...known.keys()];
       setOptions(choice, names.map((name) => [name, name]), names[0] ?? "");
       setBeside();
       drive.setRuns(names);
-      learning.update([...known.values()], curves);
+      learning.update([...known.values()], answer);
+      if (learning.wanted.length) setTimeout(poll); // for their curves
       if (tab === "episodes") say(await showScene());
       else if (tab === "learning") say(names.length ? "" : `${none} Or play it yourself.`);
     } catch (error) {
