@@ -45,6 +45,20 @@ export class View3D {
     canvas.addEventListener("wheel", scrolls, { capture: true, passive: true });
     this.controls = new OrbitControls(this.camera, canvas);
     canvas.style.touchAction = "pan-y";
+    // A finger whose first way was taken for a turn, before it scrolled: the camera is where it was.
+    let before = { position: new Vector3(), target: new Vector3(), homeAspect: 0 };
+    canvas.addEventListener("pointerdown", (event) => {
+      if (!event.isPrimary) return;
+      before = { position: this.camera.position.clone(), target: this.controls.target.clone(), homeAspect: this.homeAspect };
+    }, { capture: true });
+    canvas.addEventListener("pointercancel", (event) => {
+      if (!event.isPrimary) return;
+      this.camera.position.copy(before.position);
+      this.controls.target.copy(before.target);
+      this.controls.update();
+      this.homeAspect = before.homeAspect;
+      onChange();
+    });
     this.controls.enableDamping = false;
     this.controls.maxPolarAngle = 1.5;
     this.controls.addEventListener("change", onChange);
