@@ -145,6 +145,7 @@ def test_tabs_are_one_stop_with_arrows_between_them(open_page, watched):
     assert opened.evaluate("document.activeElement.id") == "joystick"
 
 
+@pytest.mark.slow
 @in_each_browser
 def test_focus_survives_every_update_and_nothing_chatters(open_page, watched, tmp_path):
     opened = open_page(f"{watched}#run=slow&episode=1&t=1")

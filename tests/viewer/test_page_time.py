@@ -173,6 +173,7 @@ def test_it_loops_goes_on_to_the_next_and_follows_the_learner(open_page, replay)
     assert opened.get_attribute("#follow", "aria-pressed") == "false"
 
 
+@pytest.mark.slow
 @in_each_browser
 def test_the_address_holds_the_place_and_opening_it_comes_back(open_page, replay):
     opened = open_page(replay)

@@ -10,6 +10,7 @@ from conftest import corridor_here
 from PIL import Image
 from recorded_run import recorded_run
 
+from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.runs.evaluation import Episode
@@ -123,19 +124,26 @@ def test_nothing_to_show_is_one_sentence(tmp_path):
 
 
 def test_a_page_of_20_of_the_longest_episodes_is_below_a_megabyte_and_a_half():
+    """Of noise, as far as a corridor lets there be any: it doesn't compress."""
     rng = np.random.default_rng(0)
-    episodes = [
-        Episode(
-            observations=rng.normal(size=(1001, 13)).astype(np.float32),  # noise doesn't compress
-            actions=rng.normal(size=(1000, 2)).astype(np.float32),
-            rewards=np.full(1000, -0.001, np.float32),
-            truncated=False,
-            slot=0,
-            statistics={"Corridor/Success": 0.0},
+    episodes = []
+    for area in range(20):
+        env = CorridorEnv(area=area, failure_return=-1e6, goal_radius=0.0, max_episode_steps=1000)
+        observations, rewards = [env.reset(seed=1)[0]], []
+        actions = rng.uniform(-1, 1, (1000, 2)).astype(np.float32)
+        for action in actions:
+            observation, reward, *_ = env.step(action)
+            observations.append(observation)
+            rewards.append(reward)
+        noise = rng.normal(size=1001).astype(np.float32)
+        statistics = {"Corridor/Success": 0.0}
+        episodes.append(
+            Episode(
+                np.array(observations), actions, np.array(rewards, np.float32), True, area, statistics, noise, noise[1:]
+            )
         )
-        for _ in range(20)
-    ]
     scene = run_scene(Train(run_id="x").run_config(), Trajectories("Corridor", None, 0, episodes))
+    assert all(record["length"] == 1000 and "value" in record["columns"] for record in scene["episodes"])
     assert len(page({"mode": "replay", "scene": scene}).encode()) < 1_500_000
 
 
