@@ -8,16 +8,21 @@ import json
 import logging
 import os
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from trainer.bench.bench_report import plot_report, print_report
+from trainer.bench.beside_peers import EVERYONE, beside_peers
 from trainer.bench.exchange_rates import exchange_rates, world_rate
 from trainer.bench.footprint import memory_megabytes, startup_seconds
+from trainer.bench.peer_environments import Peer
+from trainer.bench.peers_report import plot_peers, print_heading, print_peer
 from trainer.bench.training_rates import player_rates, preset_rates
 from trainer.bench.workload import FULL, Workload
 from trainer.files import write_whole
+from trainer.learning.kernels import PROBLEM
 from trainer.terminal import Terminal
 
 PACKAGES = ("curious-corridor", "mlagents-envs", "grpcio", "protobuf", "numpy", "torch", "stable-baselines3")
@@ -44,6 +49,7 @@ def run_bench(
     Raises:
         TrainerError: A client can't be started, or a training run failed.
     """
+    _say_slower(console)
     logging.getLogger("mlagents_envs").setLevel(logging.ERROR)
     report: dict[str, Any] = {"machine": _machine(), "exchange": [], "world": []}
     with console.status("Measuring") as status:
@@ -63,6 +69,47 @@ def run_bench(
         write_whole(json_file, json.dumps(report, indent=2) + "\n")
     if plot is not None:
         plot_report(report, plot)
+
+
+def run_peers(
+    json_file: Path | None,
+    plot: Path | None,
+    official: str | None,
+    port: int,
+    console: Terminal,
+    workload: Workload = FULL,
+    peers: Sequence[Peer] = EVERYONE,
+) -> None:
+    """Measures PPO beside others, prints each row when it is there, and keeps what there is in the JSON.
+
+    Args:
+        json_file: Where to write the report, after every row.
+        plot: Where to draw it, as PNG.
+        official: A Python interpreter with mlagents 1.1.0, to be measured beside.
+        port: The first port for players.
+        console: Where to print.
+        workload: How much to measure.
+        peers: Which; the first is the one that all are measured beside.
+
+    Raises:
+        TrainerError: This trainer can't be measured, or this system can't hold a process to a core.
+    """
+    _say_slower(console)
+    report: dict[str, Any] = {"machine": _machine(), "peers": []}
+    print_heading(console)
+    with console.status("Installing and measuring"):
+        for row in beside_peers(official, port, workload, peers):
+            report["peers"].append(row)
+            print_peer(row, console)
+            if json_file is not None:
+                write_whole(json_file, json.dumps(report, indent=2) + "\n")
+    if plot is not None:
+        plot_peers(report["peers"], plot)
+
+
+def _say_slower(console: Terminal) -> None:
+    if PROBLEM is not None:
+        console.print(PROBLEM, style="yellow")
 
 
 def _machine() -> dict[str, Any]:
