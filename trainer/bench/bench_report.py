@@ -32,6 +32,13 @@ def print_report(report: dict[str, Any], console: Terminal) -> None:
             f"training, preset {row['preset']}, c = {row['c']:g}: {row['steps_per_second']:,.0f} steps/s, "
             f"{row['exchange_share']:.0%} of the time in the exchange"
         )
+    limit = report["limit"]
+    console.print(
+        f"An update of the default preset takes {1e3 * limit['update_seconds']:.1f} ms; networks, "
+        f"{limit['networks_to_products']:.1f} times their matrix products."
+    )
+    for name, seconds in limit["parts"].items():
+        console.print(f"  {1e3 * seconds:6.2f} ms {seconds / limit['update_seconds']:4.0%}  {name}")
     for row in report["players"]:
         console.print(
             f"training, {row['num_envs']} x {row['num_areas']} areas: {row['steps_per_second']:,.0f} steps/s; "

@@ -22,20 +22,25 @@ from trainer.bench.peers.peer_settings import PeerSettings
 from trainer.bench.workload import Workload
 from trainer.corridor import CORRIDOR
 from trainer.errors import TrainerError
-from trainer.presets import PRESETS
+from trainer.presets import CURIOSITY_RATIO, PRESETS
 from trainer.signals import temporary_folder
 
 OURS = Peer("this trainer, in process", "our_program", "curious-corridor[trainer]")
-CURIOUS = PRESETS["fast"].curiosity.c
 EVERYONE = (
     OURS,
-    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOUS),
+    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO),
     Peer("this trainer, through gRPC", OURS.module, OURS.package, over_grpc=True),
-    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOUS, over_grpc=True),
+    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO, over_grpc=True),
     Peer("Stable-Baselines3", "sb3_program", "stable-baselines3"),
     Peer("SBX (JAX)", "sbx_program", "sbx-rl", ("sbx-rl==0.28.0", same_torch())),
     Peer("one file of torch (CleanRL's way)", "torch_program", "torch"),
-    Peer("PufferLib", "puffer_program", "pufferlib", ("pufferlib==3.0.0", same_torch())),
+    Peer(
+        "PufferLib",
+        "puffer_program",
+        "pufferlib",
+        ("pufferlib==3.0.0", same_torch()),
+        built_with=("setuptools", "wheel", "Cython", "numpy<2", same_torch()),
+    ),
 )
 MLAGENTS = "mlagents-learn, through gRPC"
 SUMMARY_STEPS = 2048  # of mlagents-learn, between two of its lines

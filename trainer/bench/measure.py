@@ -17,6 +17,7 @@ from trainer.bench.bench_report import plot_report, print_report
 from trainer.bench.beside_peers import EVERYONE, beside_peers
 from trainer.bench.exchange_rates import exchange_rates, world_rate
 from trainer.bench.footprint import memory_megabytes, startup_seconds
+from trainer.bench.limit_parts import limit_parts
 from trainer.bench.peer_environments import Peer
 from trainer.bench.peers_report import plot_peers, print_heading, print_peer
 from trainer.bench.training_rates import player_rates, preset_rates
@@ -59,6 +60,8 @@ def run_bench(
             report["world"].append({"areas": areas, "steps_per_second": world_rate(areas, workload)})
         status.update("Training with and without curiosity")
         report["train"] = preset_rates(port, workload)
+        status.update("What an update is spent in")
+        report["limit"] = limit_parts(port, workload)
         status.update("Training with one player and with several")
         report["players"] = player_rates(port, workload)
         status.update("Start-up and memory")

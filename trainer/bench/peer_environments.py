@@ -19,8 +19,8 @@ from trainer.errors import TrainerError
 from trainer.signals import temporary_folder
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "curious-corridor" / "peers"
+WITHOUT_GAMES = {"NO_OCEAN": "1"}  # PufferLib's own, for which it downloads and compiles far more than its trainer
 WHOLE = "whole.txt"  # in an environment whose packages are all there: what was asked for
-TORCH_WHEELS = "https://download.pytorch.org/whl"
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Peer:
         module: The program, in ``trainer.bench.peers``.
         package: Whose version and size are reported, as pip would be told to install it.
         pins: What its own environment has, with exact versions; None for what this environment has anyway.
+        built_with: What has to be there before, where pip compiles it: it is compiled for that, and not for the newest.
         c: Curiosity's strength.
         over_grpc: Whether the corridor is a player's.
     """
@@ -40,6 +41,7 @@ class Peer:
     module: str
     package: str
     pins: tuple[str, ...] | None = None
+    built_with: tuple[str, ...] = ()
     c: float = 0.0
     over_grpc: bool = False
 
@@ -59,8 +61,12 @@ def install(peer: Peer) -> str:
     try:
         shutil.rmtree(folder, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
-        for command in ([sys.executable, "-m", "venv", str(folder)], _pip(python, peer.pins)):
-            made = subprocess.run(command, capture_output=True, text=True)
+        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        commands = [[sys.executable, "-m", "venv", str(folder)], [*pip, *peer.pins]]
+        if peer.built_with:
+            commands[1:] = [[*pip, *peer.built_with], [*pip, "--no-build-isolation", *peer.pins]]
+        for command in commands:
+            made = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **WITHOUT_GAMES})
             if made.returncode:
                 said = [line for line in (made.stderr + made.stdout).splitlines() if line.strip()]
                 why = said[-1].strip() if said else f"run {shlex.join(command)} by hand."
@@ -72,8 +78,8 @@ def install(peer: Peer) -> str:
 
 
 def same_torch() -> str:
-    """The requirement of the build of torch that is installed here."""
-    return f"torch=={version('torch')}"
+    """The requirement of the torch that is installed here, of whichever build pip is told to take."""
+    return f"torch=={version('torch').partition('+')[0]}"
 
 
 @contextmanager
@@ -100,9 +106,3 @@ def installed(python: str, package: str, variables: dict[str, str]) -> dict[str,
         return {"version": None, "install_mb": None}
     values = json.loads(found.stdout)
     return {"version": values["version"], "install_mb": round(values["bytes"] / 1e6)}
-
-
-def _pip(python: Path, pins: tuple[str, ...]) -> list[str]:
-    command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *pins]
-    _, _, build = version("torch").partition("+")
-    return [*command, "--extra-index-url", f"{TORCH_WHEELS}/{build}"] if build else command

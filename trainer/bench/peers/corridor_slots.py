@@ -1,5 +1,6 @@
 """The corridor in process as Stable-Baselines3's ``VecEnv``, for SB3, for SBX, and for ours."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -85,7 +86,7 @@ class TakeTurns(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         reward = 0.0 if self._corridor is None else self._corridor.reward
-        loss = float(self.logger.name_to_value.get("train/loss", 0.0))
+        loss = float(self.logger.name_to_value.get("train/value_loss", math.nan))
         # In process, the corridor has the last word on how many steps there were.
         steps = self.num_timesteps if self._corridor is None else self._corridor.steps
         self._over = not self._turns.goes_on(steps, reward, loss)
