@@ -2,7 +2,7 @@
 
 import json
 import os
-import shlex
+import re
 import shutil
 import subprocess
 import sys
@@ -19,7 +19,7 @@ from trainer.errors import TrainerError
 from trainer.signals import temporary_folder
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "curious-corridor" / "peers"
-WITHOUT_GAMES = {"NO_OCEAN": "1"}  # PufferLib's own, for which it downloads and compiles far more than its trainer
+ERROR = re.compile(r"(ERROR: |\w*Error: )")
 WHOLE = "whole.txt"  # in an environment whose packages are all there: what was asked for
 
 
@@ -66,15 +66,26 @@ def install(peer: Peer) -> str:
         if peer.built_with:
             commands[1:] = [[*pip, *peer.built_with], [*pip, "--no-build-isolation", *peer.pins]]
         for command in commands:
-            made = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **WITHOUT_GAMES})
+            made = subprocess.run(command, capture_output=True, text=True, env=_for_building())
             if made.returncode:
-                said = [line for line in (made.stderr + made.stdout).splitlines() if line.strip()]
-                why = said[-1].strip() if said else f"run {shlex.join(command)} by hand."
-                raise TrainerError(f"{peer.name} can't be installed: {why}")
+                raise TrainerError(f"{peer.name} can't be installed: {_reason(made.stdout + made.stderr)}")
         whole.write_text(wanted)
     except OSError as error:
         raise TrainerError(f"{peer.name} can't be installed in {folder} ({error.strerror or error}).") from error
     return str(python)
+
+
+def _reason(said: str) -> str:
+    """The last line of what pip said that names an error, or else the last."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    return next((line for line in reversed(lines) if ERROR.match(line)), lines[-1] if lines else "pip said nothing.")
+
+
+def _for_building() -> dict[str, str]:
+    """Environment variables under which pip compiles for the processor, and a library's trainer alone."""
+    # PufferLib takes a compiler for CUDA as a wish for it. Its games are more than all else to download and compile.
+    folders = [each for each in os.environ.get("PATH", "").split(os.pathsep) if not Path(each, "nvcc").exists()]
+    return {**os.environ, "PATH": os.pathsep.join(folders), "NO_OCEAN": "1"}
 
 
 def same_torch() -> str:

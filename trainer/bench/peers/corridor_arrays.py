@@ -53,7 +53,7 @@ class CorridorArrays:
     def __init__(self, areas: int, seed: int, parameters: dict[str, Any], normalised: bool) -> None:
         self._areas = Areas(CorridorConfig(), seed, range(areas))
         for name, value in parameters.items():
-            self._areas.set_parameter(name, value)
+            self._areas.set_parameter(name, float(value))
         behavior = self._areas.behaviors[BEHAVIOR]
         self._no_choices = np.empty((areas, 0), np.int32)
         self.size, self.action_size = behavior.sensors[0].shape[0], behavior.continuous_actions
