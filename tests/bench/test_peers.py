@@ -4,9 +4,11 @@ import ast
 import io
 import itertools
 import json
+import os
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -60,7 +62,7 @@ def test_the_one_for_unitys_python_has_no_newer_syntax():
 
 def test_arrays_step_as_every_areas_own_environment_does():
     """To the bit, over ends: observations, rewards, who ended, and what it saw last."""
-    areas, parameters = 3, {"failure_return": -0.3, "max_episode_steps": 40}
+    areas, parameters = 3, {"failure_return": -0.3, "max_episode_steps": 60}
     arrays = CorridorArrays(areas, 5, parameters, normalised=False)
     alone = [CorridorEnv(area=area, **parameters) for area in range(areas)]
     observations = arrays.reset()
@@ -68,6 +70,7 @@ def test_arrays_step_as_every_areas_own_environment_does():
     generator, ends = np.random.default_rng(0), []
     for _ in range(200):
         actions = generator.uniform(-1, 1, (areas, 2)).astype(np.float32)
+        actions[1] = 0.0, 1.0  # into a wall
         stepped = arrays.step(actions)
         for area, environment in enumerate(alone):
             seen, reward, terminated, truncated, _ = environment.step(actions[area])
@@ -200,6 +203,9 @@ def test_every_row_is_there_as_soon_as_it_is_measured(monkeypatch, tmp_path, fre
             raise TrainerError("nobody's can't be installed: ERROR: none")
         return sys.executable
 
+    one_core = {min(os.sched_getaffinity(0))}
+    system = SimpleNamespace(environ=os.environ, sched_getaffinity=lambda _: one_core, sched_setaffinity=None)
+    monkeypatch.setattr("trainer.bench.beside_peers.os", system)  # half of the time that two cores take
     monkeypatch.setattr("trainer.bench.beside_peers.install", cant)
     console = Terminal(record=True, width=200)
     files = tmp_path / "peers.json", tmp_path / "peers.png"
@@ -209,11 +215,11 @@ def test_every_row_is_there_as_soon_as_it_is_measured(monkeypatch, tmp_path, fre
     assert [row["name"] for row in rows] == [OURS.name, BROKEN.name, grpc.name, "SB3", "torch"]
     assert rows[1]["problem"] == "nobody's can't be installed: ERROR: none"
     for row in (rows[0], *rows[2:]):
-        for found in row["cores"].values():
-            assert found["steps_per_second"] > 0
-            assert found["ours"] > 0
-            assert 0 < found["cores_used"] < 2.5
-            assert found["peak_mb"] > 50
+        (found,) = row["cores"].values()
+        assert found["steps_per_second"] > 0
+        assert found["ours"] > 0
+        assert 0 < found["cores_used"] < 1.2
+        assert found["peak_mb"] > 50
         assert row["install_mb"] > 100
     assert rows[0]["cores"]["1"]["ours"] == rows[0]["cores"]["1"]["steps_per_second"]
     assert files[1].stat().st_size > 1000
