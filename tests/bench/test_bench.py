@@ -25,6 +25,7 @@ SMALL = Workload(
     players=((1, 8), (2, 4)),
     memory_areas=64,
     memory_steps={"1e6": 1000, "1e7": 2000},
+    limit_updates=3,
 )
 
 
@@ -75,8 +76,11 @@ def test_every_figure_is_there(tmp_path, free_port, monkeypatch):
     assert all(0.0 < row["exchange_share"] < 1.0 for row in report["train"])
     assert [(row["num_envs"], row["num_areas"]) for row in report["players"]] == [(1, 8), (2, 4)]
     assert all(min(row["limit"], row["steps_per_second"]) > 0 for row in report["players"])
+    assert sum(report["limit"]["parts"].values()) == pytest.approx(report["limit"]["update_seconds"])
     assert report["startup_seconds"]["corridor-server"] > 0
     assert set(report["memory_mb"]) == {"1e6", "1e7"}
     assert report["machine"]["versions"]["mlagents-envs"] == "0.28.0"
     assert (tmp_path / "speed.png").stat().st_size > 1000
-    assert "limit" in console.export_text()
+    printed = console.export_text()
+    assert "limit" in printed
+    assert all(name in printed for name in report["limit"]["parts"])

@@ -16,7 +16,7 @@ import pytest
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.bench import measure, peer_environments, peers
 from trainer.bench.beside_peers import OURS, beside_peers, mlagents_config, peer_settings
-from trainer.bench.learners import Learner, MLAgentsLearner
+from trainer.bench.learning_process import LearningProcess, MLAgentsProcess
 from trainer.bench.measure import run_peers
 from trainer.bench.peer_environments import Peer, importable, install, installed
 from trainer.bench.peers.corridor_arrays import CorridorArrays
@@ -154,7 +154,7 @@ def test_mlagents_learn_is_told_the_same():
 
 def test_mlagents_learn_stands_still_between_turns(tmp_path):
     command = [sys.executable, "-c", COUNTING]
-    with MLAgentsLearner("counting", command, [0], {}, tmp_path) as learner:
+    with MLAgentsProcess("counting", command, [0], {}, tmp_path) as learner:
         first = learner.turn(0.2)
         time.sleep(0.5)
         begun = time.perf_counter()
@@ -166,7 +166,7 @@ def test_mlagents_learn_stands_still_between_turns(tmp_path):
 
 def test_a_program_that_ends_at_once_is_quoted(tmp_path):
     with pytest.raises(TrainerError, match="mine ended before it measured anything: ValueError: 3 is too many"):
-        Learner("mine", [sys.executable, "-c", "raise ValueError('3 is too many')"], [0], {}, tmp_path)
+        LearningProcess("mine", [sys.executable, "-c", "raise ValueError('3 is too many')"], [0], {}, tmp_path)
 
 
 def test_a_broken_accelerator_is_one_line_before_the_rates(monkeypatch):

@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 import trainer
-from trainer.bench.learners import Learner, MLAgentsLearner
+from trainer.bench.learning_process import LearningProcess, MLAgentsProcess
 from trainer.bench.our_player import player_path
 from trainer.bench.peer_environments import Peer, importable, install, installed, same_torch
 from trainer.bench.peers.peer_settings import PeerSettings
@@ -45,7 +45,7 @@ EVERYONE = (
 MLAGENTS = "mlagents-learn, through gRPC"
 SUMMARY_STEPS = 2048  # of mlagents-learn, between two of its lines
 FOR_EVER = 10**9
-Start = Callable[[Sequence[int]], Learner]
+Start = Callable[[Sequence[int]], LearningProcess]
 
 
 def beside_peers(
@@ -83,7 +83,7 @@ def beside_peers(
             # Ours is the program that runs this; others are given no more of it than they need.
             own = ours_alone if peer.module == OURS.module else variables
             command = [python, "-m", f"trainer.bench.peers.{peer.module}", told.to_json()]
-            return lambda cores: Learner(peer.name, command, cores, own, folder)
+            return lambda cores: LearningProcess(peer.name, command, cores, own, folder)
 
         ours = [stack.enter_context(start(peers[0])(cores)) for cores in kinds]
         for peer in peers:
@@ -104,7 +104,7 @@ def beside_peers(
             try:
                 found = installed(official, "mlagents", variables)
                 measured = _measured(
-                    lambda cores: MLAgentsLearner(MLAGENTS, command, cores, plain, folder), ours, kinds, workload
+                    lambda cores: MLAgentsProcess(MLAGENTS, command, cores, plain, folder), ours, kinds, workload
                 )
                 yield {"name": MLAGENTS, **found, "cores": measured}
             except TrainerError as error:
@@ -148,7 +148,7 @@ def mlagents_config(settings: PeerSettings) -> dict[str, Any]:
 
 
 def _measured(
-    start: Start | None, ours: Sequence[Learner], kinds: Sequence[Sequence[int]], workload: Workload
+    start: Start | None, ours: Sequence[LearningProcess], kinds: Sequence[Sequence[int]], workload: Workload
 ) -> dict[str, dict[str, float]]:
     """Of a learner, or of ours itself where none is to be started, by the number of cores."""
     found = {}
@@ -170,7 +170,7 @@ def _measured(
 
 
 @contextmanager
-def _started(start: Start | None, reference: Learner, cores: Sequence[int]) -> Iterator[Learner]:
+def _started(start: Start | None, reference: LearningProcess, cores: Sequence[int]) -> Iterator[LearningProcess]:
     if start is None:
         yield reference
         return

@@ -19,7 +19,7 @@ from trainer.errors import TrainerError
 from trainer.signals import temporary_folder
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "curious-corridor" / "peers"
-ERROR = re.compile(r"(ERROR: |\w*Error: )")
+ERROR = re.compile(r"([\w.]*Error: |ERROR: )")
 WHOLE = "whole.txt"  # in an environment whose packages are all there: what was asked for
 
 
@@ -82,10 +82,9 @@ def _reason(said: str) -> str:
 
 
 def _for_building() -> dict[str, str]:
-    """Environment variables under which pip compiles for the processor, and a library's trainer alone."""
-    # PufferLib takes a compiler for CUDA as a wish for it. Its games are more than all else to download and compile.
+    """Environment variables under which pip compiles for the processor: PufferLib builds for CUDA where it finds it."""
     folders = [each for each in os.environ.get("PATH", "").split(os.pathsep) if not Path(each, "nvcc").exists()]
-    return {**os.environ, "PATH": os.pathsep.join(folders), "NO_OCEAN": "1"}
+    return {**os.environ, "PATH": os.pathsep.join(folders)}
 
 
 def same_torch() -> str:

@@ -14,7 +14,7 @@ TINY = 1e-8
 Singles = NDArray[np.float32]
 
 
-class Stepped(NamedTuple):
+class SteppedCorridor(NamedTuple):
     """What a step of all areas gave.
 
     Attributes:
@@ -69,7 +69,7 @@ class CorridorArrays:
         observations: Singles = self._areas.reset()[BEHAVIOR].observations[0]
         return self._normal(observations, learn=True)
 
-    def step(self, actions: Singles) -> Stepped:
+    def step(self, actions: Singles) -> SteppedCorridor:
         """One step of every area.
 
         Args:
@@ -88,7 +88,7 @@ class CorridorArrays:
         self.reward += float(rewards.sum())
         observations = self._normal(seen[early:], learn=True)
         last = self._normal(seen[:early], learn=False)
-        return Stepped(observations, rewards, flags[0], flags[1], ended, last)
+        return SteppedCorridor(observations, rewards, flags[0], flags[1], ended, last)
 
     def _normal(self, observations: Singles, learn: bool) -> Singles:
         if not self._normalised:

@@ -38,7 +38,7 @@ class Turn(NamedTuple):
     fault: str = ""
 
 
-class Learner:
+class LearningProcess:
     """A program that learns in turns (``trainer.bench.peers.turns``), with all processes that it starts.
 
     Args:
@@ -74,7 +74,7 @@ class Learner:
             self._end()
             raise
 
-    def __enter__(self) -> "Learner":
+    def __enter__(self) -> "LearningProcess":
         return self
 
     def __exit__(
@@ -154,7 +154,7 @@ class Learner:
         return total
 
 
-class MLAgentsLearner(Learner):
+class MLAgentsProcess(LearningProcess):
     """``mlagents-learn``, which stands still between its turns; what it prints of its steps is measured.
 
     A turn is from a summary to another, and lasts at least as long as is asked for.
@@ -163,7 +163,7 @@ class MLAgentsLearner(Learner):
     SUMMARIES = 3  # before anything is measured
 
     def turn(self, seconds: float) -> Turn:
-        """See ``Learner``."""
+        """See ``LearningProcess``."""
         self._continue()
         (begun, first), before = self._summary(), self._processor_seconds()
         ended, last = begun, first
