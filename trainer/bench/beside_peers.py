@@ -60,8 +60,8 @@ def beside_peers(
         peers: Which; the first is the one that all are measured beside.
 
     Yields:
-        ``name``, ``version``, ``install_mb`` and, by the number of ``cores``, ``steps_per_second``, ``ours`` (those of
-        this trainer in process meanwhile), ``cores_used`` and ``peak_mb``; or ``name`` and the ``problem``.
+        ``name``, ``version``, ``install_mb`` and, by the number of ``cores``, ``steps_per_second``, ``to_ours`` (as
+        a part of this trainer's in process, of which each turn is followed by one), ``cores_used`` and ``peak_mb``; or ``name`` and the ``problem``.
 
     Raises:
         TrainerError: This trainer itself can't be measured, or this system can't hold a process to a core.
@@ -162,7 +162,9 @@ def _measured(
                     raise TrainerError(f"{learner.name} learned nothing: {theirs[-1].fault}.")
             found[str(len(cores))] = {
                 "steps_per_second": statistics.median(each.rate for each in theirs),
-                "ours": statistics.median(each.rate for each in beside),
+                "to_ours": statistics.median(
+                    each.rate / other.rate for each, other in zip(theirs, beside, strict=True)
+                ),
                 "cores_used": statistics.median(each.cores for each in theirs),
                 "peak_mb": learner.peak_megabytes(),
             }

@@ -36,7 +36,7 @@ def print_peer(row: dict[str, Any], console: Terminal) -> None:
         if found is None:
             cells += f"{'-':>18}{'-':>6}{'-':>7}"
         else:
-            rate = f"{found['steps_per_second']:,.0f} ({found['steps_per_second'] / found['ours']:.2f})"
+            rate = f"{found['steps_per_second']:,.0f} ({found['to_ours']:.2f})"
             cells += f"{rate:>18}{found['cores_used']:>6.2f}{found['peak_mb']:>7,.0f}"
     size = "-" if row["install_mb"] is None else f"{row['install_mb']:,}"
     console.print(f"{row['name']:{NAME_WIDTH}}{cells}{size:>10}")
