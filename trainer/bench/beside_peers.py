@@ -60,8 +60,9 @@ def beside_peers(
         peers: Which; the first is the one that all are measured beside.
 
     Yields:
-        ``name``, ``version``, ``install_mb`` and, by the number of ``cores``, ``steps_per_second``, ``to_ours`` (as
-        a part of this trainer's in process, of which each turn is followed by one), ``cores_used`` and ``peak_mb``; or ``name`` and the ``problem``.
+        ``name``, ``version``, ``install_mb`` and, by the number of ``cores``, ``steps_per_second``, ``to_ours`` (the
+        part of this trainer's rate in process, which has a turn after each of theirs), ``cores_used`` and ``peak_mb``;
+        or ``name`` and the ``problem``.
 
     Raises:
         TrainerError: This trainer itself can't be measured, or this system can't hold a process to a core.
@@ -160,11 +161,10 @@ def _measured(
                 beside.append(theirs[-1] if learner is reference else reference.turn(workload.peer_seconds))
                 if theirs[-1].fault:
                     raise TrainerError(f"{learner.name} learned nothing: {theirs[-1].fault}.")
+            parts = [each.rate / other.rate for each, other in zip(theirs, beside, strict=True)]
             found[str(len(cores))] = {
                 "steps_per_second": statistics.median(each.rate for each in theirs),
-                "to_ours": statistics.median(
-                    each.rate / other.rate for each, other in zip(theirs, beside, strict=True)
-                ),
+                "to_ours": statistics.median(parts),
                 "cores_used": statistics.median(each.cores for each in theirs),
                 "peak_mb": learner.peak_megabytes(),
             }
