@@ -345,6 +345,8 @@ def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
 def _reported(episodes: list[Episode], measure: str) -> str:
     """What stands in the place of a measure that has no value."""
     unknown = unreported(episodes, measure)
+    if measure == "mean_success_length" and not unreported(episodes, "success_rate"):
+        return "no successes"
     return f"unknown for {unknown} of {len(episodes)}" if 0 < unknown < len(episodes) else "not reported"
 
 
