@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.progress import Progress
+from rich.table import Table
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
@@ -277,8 +278,17 @@ def run_generalise(
         _write_cells(cells, draft.path / "cells.csv")
         (draft.path / "report.md").write_text(report, encoding="utf-8")
     draft.publish()
-    console.print(report)
+    _show(shown, cells, console)
     console.print(f"Report: {target / 'report.md'}")
+
+
+def _show(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]], console: Terminal) -> None:
+    console.print("Shares of episodes: success, below it opponent contact, below that wall contact.")
+    for panel, grid in zip(shown, cells, strict=True):
+        table = Table(_corner(panel), *(cell.change.column for cell in grid[0]), title=panel.title, show_lines=True)
+        for row in grid:
+            table.add_row(row[0].change.row, *("\n".join(_shares(cell)) for cell in row))
+        console.print(table, soft_wrap=False)
 
 
 def heat_maps(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]]) -> Figure:
@@ -340,13 +350,20 @@ def _report(
         "",
     ]
     for panel, grid in zip(shown, cells, strict=True):
-        head = [f"{panel.rows} \\ {panel.columns}" if panel.rows else panel.columns]
-        head += [cell.change.column for cell in grid[0]]
+        head = [_corner(panel), *(cell.change.column for cell in grid[0])]
         lines += [f"## {panel.title}", "", "Success / opponent contact / wall contact, shares of episodes.", ""]
         lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
         for row in grid:
-            shares = [[cell.estimate(measure).value for measure in MEASURES[:3]] for cell in row]
-            numbers = [" / ".join(f"{share:.2f}" for share in each) for each in shares]
+            numbers = [" / ".join(_shares(cell)) for cell in row]
             lines.append(f"| {' | '.join([row[0].change.row, *numbers])} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _corner(panel: Panel) -> str:
+    return f"{panel.rows} \\ {panel.columns}" if panel.rows else panel.columns
+
+
+def _shares(cell: Cell) -> list[str]:
+    """Success, opponent contact and wall contact."""
+    return [f"{cell.estimate(measure).value:.2f}" for measure in MEASURES[:3]]
