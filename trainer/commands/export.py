@@ -20,10 +20,12 @@ class Export:
         check_file(self.onnx, "--onnx")
         folder = self.results.find()
         config = folder.read_config()
+        from trainer.activity import doing
         from trainer.runs.checkpoint import find_checkpoint
 
         find_checkpoint(folder.checkpoints)
-        from trainer.runs.onnx_file import export_run
+        with doing("Loading PyTorch"):
+            from trainer.runs.onnx_file import export_run
 
         for path in export_run(config, folder, self.onnx):
             Terminal().print(f"Wrote {path}")

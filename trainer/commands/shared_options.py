@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.config import PAPER_STEPS, PresetName
+from trainer.config import PAPER_STEPS, RESULTS, PresetName
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
 
 if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder
 
-RESULTS = Path("results")
 PRESET: PresetName = "fast"
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
 Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]

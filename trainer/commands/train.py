@@ -8,9 +8,10 @@ from typing import Annotated, Any, TypedDict, cast, get_type_hints
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import PRESET, RESULTS, ResultsDir, TrainingOptions
+from trainer.commands.shared_options import PRESET, ResultsDir, TrainingOptions
 from trainer.config import (
     PAPER_STEPS,
+    RESULTS,
     Algorithm,
     ConnectionOptions,
     Device,
@@ -254,6 +255,7 @@ class Train(Options):
         resume, force = self.resumes_or_overwrites()
         if self.algo == "ddpg" and resume:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
+        from trainer.activity import doing
         from trainer.runs.folder import RunFolder
 
         with RunFolder.claim(config, self.results_dir, resume=resume, force=force) as (folder, draft):
@@ -261,7 +263,8 @@ class Train(Options):
                 from trainer.learning.sb3_zip import read_sb3_policy
 
                 read_sb3_policy(self.from_sb3)
-            from trainer.runs.run import train_run
+            with doing("Loading PyTorch"):
+                from trainer.runs.run import train_run
 
             finished = train_run(
                 config,

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import RESULTS, ResultsDir
+from trainer.commands.shared_options import ResultsDir
+from trainer.config import RESULTS
 from trainer.options import Options
 from trainer.terminal import Terminal
 

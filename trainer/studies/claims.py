@@ -2,8 +2,8 @@
 
 Aggregates over seeds are interquartile means (IQM); intervals are 95% stratified bootstrap intervals (``bootstrap``).
 
-A claim is decided only where its measures can: from ``FEWEST_SEEDS`` finished runs of each arm on, each of as many steps
-as the paper's and evaluated on ``FEWEST_EPISODES``.
+A claim is decided only where its measures can be: from ``FEWEST_SEEDS`` finished runs of each arm on, each of as many
+steps as the paper's and evaluated on ``FEWEST_EPISODES``.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,8 +21,8 @@ FAILS_BELOW = 0.05  # success of an agent that does not complete the task
 COMPLETES_FROM = 0.90  # success of one that does
 OVERWHELMED_BELOW = 0.5  # success of one that curiosity overwhelms
 QUICKLY_BELOW = 0.5  # its episode length, as a share of base PPO's
-# Of three values a mean leaves out none, so it is no interquartile one; and by chance alone all runs of one arm lie below
-# all of the other 1 time in 20 with three each, 1 in 70 with four.
+# Of three values a mean leaves out none, so it is no interquartile one; and by chance alone all runs of one arm lie
+# below all of the other 1 time in 20 with three each, 1 in 70 with four.
 FEWEST_SEEDS = 4
 FEWEST_EPISODES = 60  # none of which succeeds in 5% of the cases, where success is FAILS_BELOW
 ENOUGH_SEEDS = 10

@@ -18,12 +18,12 @@ from gymnasium import spaces
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.progress import Progress
 from rich.table import Table
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from corridor_server.corridor import observation as layout
+from trainer.activity import doing
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
 from trainer.drafts import Draft, written
@@ -257,9 +257,8 @@ def run_generalise(
     tried = [panels(config) for config in configs]
     shown = [panel for panel in tried[0] if all(panel.title in [each.title for each in others] for others in tried)]
     cells: list[list[list[Cell]]] = []
-    with Progress(console=console, disable=not console.is_terminal) as progress:
-        total = len(folders) * sum(len(row) for panel in shown for row in panel.changes)
-        task = progress.add_task("generalise", total=total)
+    played, total = 0, len(folders) * sum(len(row) for panel in shown for row in panel.changes)
+    with doing("Playing in changed corridors", total) as tell:
         for index, panel in enumerate(shown):
             cells.append([])
             for i, row in enumerate(panel.changes):
@@ -269,7 +268,7 @@ def run_generalise(
                     for folder, config, own in zip(folders, configs, tried, strict=True):
                         own_change = own[index].changes[i][j]
                         evaluations.append(play(folder, config, own_change, episodes, timeout_wait))
-                        progress.advance(task)
+                        tell(played := played + 1)
                     cells[-1][-1].append(Cell(panel.title, change, evaluations))
 
     report = _report(shown, cells, [config.run_id for config in configs], episodes, command)

@@ -40,7 +40,7 @@ COLUMNS = (
     ("thousand steps to 90%", "steps_to_90_success", 0, 1e-3),
     ("minutes of learning", "wall_seconds", 1, 1 / 60),
 )
-IN_TERMINAL = (0, 1, 2, 5, 6, 7)
+IN_TERMINAL = (0, 1, 2, 5, 6)
 VERDICTS = {True: Text("yes", "green"), False: Text("no", "red"), None: Text("not decided", "yellow")}
 
 
