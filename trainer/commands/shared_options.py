@@ -11,12 +11,14 @@ from corridor_server.shared.given import Range
 from trainer.config import PAPER_STEPS, RESULTS, PresetName
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
+from trainer.terminal import Terminal
 
 if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder
 
 PRESET: PresetName = "fast"
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
+OpenPage = Annotated[bool, tyro.conf.arg(help="Open the page in the browser.")]
 Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]
 
 
@@ -28,6 +30,14 @@ def check_file(path: Path, option: str) -> None:
     """
     if not path.name or os.path.isdir(path) or not os.access(path.parent, os.W_OK):
         raise TrainerError(f"{option} {path} can't be written; give a file's name in a folder that is there.")
+
+
+def open_page(address: str) -> None:
+    """Opens a page in the user's browser, or says that there is none."""
+    import webbrowser
+
+    if not webbrowser.open(address):
+        Terminal(stderr=True).print("No browser could be started; open the page by hand.")
 
 
 @dataclass(frozen=True)
