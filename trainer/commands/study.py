@@ -123,7 +123,7 @@ class DoseResponse(StudyOptions):
 class Generalise(Options):
     """Trained policies in corridors that they never saw: faster opponents, narrower, switch and start moved, more."""
 
-    runs: tyro.conf.Positional[tuple[str, ...]]
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
     """Finished runs, by id or path: one, or several seeds of the same settings."""
     episodes: Count = 100
     """To play in each changed corridor."""
@@ -159,6 +159,16 @@ class Generalise(Options):
                 console=Terminal(),
             )
         return 0
+
+
+STUDIES: dict[str, type[StudyOptions] | type[Generalise]] = {
+    "curiosity-ratio": CuriosityRatio,
+    "penalty": Penalty,
+    "case-studies": CaseStudies,
+    "algorithms": Algorithms,
+    "dose-response": DoseResponse,
+    "generalise": Generalise,
+}
 
 
 @dataclass(frozen=True)
