@@ -9,23 +9,22 @@ import tyro
 
 from corridor_server.shared.given import Range
 from trainer.commands.shared_options import PRESET, Flag, ResultsDir, TrainingOptions
-from trainer.config import (
-    PAPER_STEPS,
-    RESULTS,
-    Algorithm,
-    ConnectionOptions,
-    Device,
-    EngineConfig,
-    Intrinsic,
-    RestartLimits,
-    RunConfig,
-)
+from trainer.config import PAPER_STEPS, RESULTS, ConnectionOptions, Device, EngineConfig, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
+from trainer.hyperparameters import Algorithm, Intrinsic
 from trainer.options import Count, Options, Seed, env_args_of_another
+from trainer.paper_settings import PaperSettings
 from trainer.presets import CURIOSITY_RATIO, PRESETS, preset_run
 from trainer.run_options import RunOptions
 from trainer.signals import INTERRUPTED
+
+
+def _no_effect(option: str, value: object) -> TrainerError:
+    return TrainerError(
+        f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the file's "
+        "behaviors and default_settings."
+    )
 
 
 def _flags_of(config: type[EngineConfig]) -> Any:
@@ -127,8 +126,9 @@ class Train(Options):
             raise TrainerError(f"{self.file} and --config {self.config} are two files; give one of them.")
         if base_port + environment.num_envs - 1 > 65535:
             raise TrainerError(f"--base-port is {base_port}, but ports end at 65535.")
+        through_gym = PRESETS[preset].through_gym if self._paper is None else self._paper.through_gym
         for name, count in (("num-areas", environment.num_areas), ("num-envs", environment.num_envs)):
-            if PRESETS[preset].through_gym and count not in (None, 1):
+            if through_gym and count not in (None, 1):
                 raise TrainerError(
                     f"--{name} is {count}, but preset {preset} trains one area through UnityToGymWrapper; "
                     f"leave --{name} out, or take preset fast."
@@ -167,15 +167,25 @@ class Train(Options):
         values: dict[str, Any] = {name: env[name] for name in ("num_envs", "num_areas") if name in env}
         if "env_path" in env:
             values["env"] = env["env_path"]
+        learning: dict[str, Any] = {"seed": env.get("seed", 0), "device": said.torch_settings.device or "auto"}
+        if said.paper is not None:
+            settings = said.paper.settings
+            learning |= {"algo": settings.algorithm, "penalty": settings.penalty}
+            learning["intrinsic"] = settings.curiosity.intrinsic
+            learning["from_sb3"] = None if settings.from_sb3 is None else Path(settings.from_sb3)
         return Train(
             said=said,
             run_id=checkpoints.get("run_id"),
             results_dir=Path(checkpoints.get("results_dir", RESULTS)),
             environment=EnvironmentOptions(env_args=tuple(env.get("env_args", ())), **values),
-            training=LearningOptions(seed=env.get("seed", 0), device=said.torch_settings.device or "auto"),
+            training=LearningOptions(**learning),
             connection=ConnectionOptions(**{name: env[name] for name in connection if name in env}),
             restarts=RestartLimits(**{name: env[name] for name in restarts if name in env}),
         )
+
+    @property
+    def _paper(self) -> PaperSettings | None:
+        return None if self.said is None or self.said.paper is None else self.said.paper.settings
 
     def _read(self) -> RunOptions | None:
         path = self.config if self.file is None else self.file
@@ -195,36 +205,42 @@ class Train(Options):
         """
         if self.run_id is None:
             raise TrainerError("The run has no name; give it one with --run-id.")
-        said, ours = self.said or self._read() or RunOptions(), self.environment.env == "builtin"
+        environment, training = self.environment, self.training
+        said, ours, paper = self.said or self._read() or RunOptions(), environment.env == "builtin", self._paper
         engine: dict[str, Any] = dict(self.engine)
-        behaviors, default, unlisted = said.recorded(self.training.steps, self.training.c, self.training.intrinsic)
-        if behaviors or default is not None:
+        behaviors, default, unlisted = said.recorded(training.steps, training.c, training.intrinsic)
+        by_behavior = bool(behaviors) or default is not None
+        if by_behavior:
             self._check_lockstep()
+        if paper is not None and training.preset is not None:
+            raise _no_effect("--preset", training.preset)
+        c = CURIOSITY_RATIO if paper is None else paper.curiosity.c
+        renders = bool(said.graphics) and not environment.no_graphics and self._is_build()
         config = preset_run(
             self.run_id,
-            self.training.preset or PRESET,
-            c=CURIOSITY_RATIO if self.training.c is None else self.training.c,
-            seed=self.training.seed,
-            steps=self.training.steps or said.max_steps or PAPER_STEPS,
-            env=self.environment.env,
-            algo=self.training.algo,
-            penalty=self.training.penalty,
-            num_areas=1
-            if self.environment.num_areas is None and (behaviors or default is not None)
-            else self.environment.num_areas,
-            intrinsic=self.training.intrinsic,
-            from_sb3=None if self.training.from_sb3 is None else str(self.training.from_sb3),
-            num_envs=self.environment.num_envs,
-            env_args=list(self.environment.env_args),
-            graphics=self.environment.graphics
-            or (bool(said.graphics) and not self.environment.no_graphics and self._is_build()),
+            (training.preset or PRESET) if paper is None else paper.preset,
+            c=c if training.c is None else training.c,
+            seed=training.seed,
+            steps=training.steps or said.max_steps or PAPER_STEPS,
+            env=environment.env,
+            algo=training.algo,
+            penalty=training.penalty,
+            num_areas=1 if environment.num_areas is None and by_behavior else environment.num_areas,
+            intrinsic=training.intrinsic,
+            from_sb3=None if training.from_sb3 is None else str(training.from_sb3),
+            num_envs=environment.num_envs,
+            env_args=list(environment.env_args),
+            graphics=environment.graphics or renders,
             engine=EngineConfig(**{**said.engine_settings, **engine}),
-            environment_parameters=said.parameters(self.environment.env_param, ours),
-            preset_given=self.training.preset is not None,
+            environment_parameters=said.parameters(environment.env_param, ours),
+            base=None if paper is None else paper.base,
+            own=paper.own_hyperparameters if paper is not None and paper.algorithm == training.algo else None,
+            behavior=None if said.paper is None else said.paper.behavior,
+            preset_given=training.preset is not None or paper is not None,
             behaviors=behaviors,
             default_settings=default,
-            unlisted_settings={} if ours else unlisted,  # the corridor has its preset
-            device=self.training.device,
+            unlisted_settings={} if ours or paper is not None else unlisted,  # the corridor has its preset
+            device=training.device,
         )
         if ours:
             check_ranges(config.environment_parameters)
@@ -243,10 +259,7 @@ class Train(Options):
             ("--from-sb3", self.training.from_sb3),
         ):
             if value is not None:
-                raise TrainerError(
-                    f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the "
-                    "file's behaviors and default_settings."
-                )
+                raise _no_effect(option, value)
 
     def _is_build(self) -> bool:
         from trainer.players.location import can_be_launched

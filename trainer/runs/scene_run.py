@@ -109,8 +109,7 @@ def report_scene(
         Terminal().print(f"Stopped at {learned.counters.env_steps:,} steps and saved; go on with --resume.")
     else:
         show_played(config, folder, played)
-        export = all(learner.settings.trainer_type == "ppo" for _, learner in training.learners)
-        Terminal().print(next_steps(folder, replay=False, export=export))
+        Terminal().print(next_steps(folder, replay=False, export=True))
 
 
 def _play(learners: BehaviorLearners, scene: Scene, episodes: int) -> Played:
