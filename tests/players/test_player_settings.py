@@ -181,8 +181,8 @@ def test_everything_after_env_args_is_the_players(monkeypatch):
     seen = []
     monkeypatch.setattr(Train, "run", lambda command, typed: seen.append(command) or 0)
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
-    assert seen[0].seed == 3
-    assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
+    assert seen[0].training.seed == 3
+    assert seen[0].environment.env_args == ("--seed", "5", "-quality", "x=1")
 
 
 def test_an_engine_setting_typed_at_its_default_still_wins_over_the_file(tmp_path, monkeypatch):

@@ -123,7 +123,7 @@ class DoseResponse(StudyOptions):
 class Generalise(Options):
     """Trained policies in corridors that they never saw: faster opponents, narrower, switch and start moved, more."""
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")]
     """Finished runs, by id or path: one, or several seeds of the same settings."""
     episodes: Count = 100
     """To play in each changed corridor."""
