@@ -79,16 +79,21 @@ PROGRAMS: dict[str, Callable[[list[str]], None]] = {
 }
 
 
+def called(program: str) -> str:
+    """A program's name, which may be typed with the folder that make installs it in."""
+    return program.removeprefix(".venv/bin/")
+
+
 def commands() -> Iterator[tuple[str, str]]:
     """Pages' names and their commands: lines of blocks that hold any, and code in sentences that begins as one."""
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for block in BLOCK.findall(text):
             lines = [line for line in block.replace("\\\n", " ").splitlines() if line.strip()]
-            if any(line.split()[0] in PROGRAMS for line in lines):
+            if any(called(line.split()[0]) in PROGRAMS for line in lines):
                 yield from ((str(page.relative_to(ROOT)), line) for line in lines)
         for span in re.findall(r"`([^`]+)`", FENCE.sub("", text)):
-            if span.split()[0] in PROGRAMS:
+            if called(span.split()[0]) in PROGRAMS:
                 yield str(page.relative_to(ROOT)), " ".join(span.split())
 
 
@@ -96,7 +101,7 @@ def read(line: str) -> None:
     """One line; of what is written as alternatives (a|b) the first, and what is left out (...) is left out."""
     for command in re.sub(r"(?<=\w)(\|\w+)+", "", SETTINGS.sub("", line)).split(" && "):
         program, *arguments = shlex.split(command, comments=True)
-        PROGRAMS[program]([each for each in arguments if each != "..."])
+        PROGRAMS[called(program)]([each for each in arguments if each != "..."])
 
 
 @pytest.fixture
