@@ -27,6 +27,8 @@ class Export:
         with doing("Loading PyTorch"):
             from trainer.runs.onnx_file import export_run
 
-        for path in export_run(config, folder, self.onnx):
+        with doing("Writing policies, and comparing them with the trained ones"):
+            paths = export_run(config, folder, self.onnx)
+        for path in paths:
             Terminal().print(f"Wrote {path}")
         return 0

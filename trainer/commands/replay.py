@@ -39,7 +39,7 @@ class Replay(Options):
                     )
                 from trainer.viewer.study_page import write_study_page
 
-                with only_writer(study), doing("Writing the study's page and those of its runs"):
+                with only_writer(study):
                     report = write_study_page(study, self.episodes, Terminal())
                 self._open(report)
                 return 0
