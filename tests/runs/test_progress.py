@@ -130,6 +130,7 @@ def test_training_has_one_line_for_each_behavior_with_what_matters_most(columns,
     assert max(map(len, screens)) == len(names)  # lines that are wrapped would be more
     for line in screens[-1]:
         assert " 99%" in line
+        assert re.search(r"(?:left|0\.93|98%|41|0\.00123|steps|steps/s)$", line)  # what is there is whole
         assert "left" in line
         assert ("return +0.93" in line) == (columns >= 80 or (columns == 40 and len(names) == 1))
         assert ("steps/s" in line) == ("curiosity 0.00123" in line) == (columns == 200)

@@ -224,7 +224,10 @@ def test_figures_show_arms_that_the_study_has():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--seeds", "0"], "--seeds is 0, but a whole number from 1 to 1000 was expected; see corridor study curiosity-ratio --help."),
+        (
+            ["--seeds", "0"],
+            "--seeds is 0, but a whole number from 1 to 1000 was expected; see corridor study curiosity-ratio --help.",
+        ),
         (["--steps", "0"], "--steps is 0"),
         (["--jobs", "0"], "--jobs is 0"),
         (["--address", "auto"], "--address auto names a Ray cluster; add --executor ray, or leave it out."),
