@@ -82,10 +82,10 @@ def run_bench(
     with doing("Training with one player and with several", len(workload.players) * workload.train_rounds) as tell:
         players = player_rates(port, workload, tell)
     measured("players", players, *map(players_line, players))
-    with doing("Starting both commands"):
+    with doing("Measuring how long both commands take to start"):
         startup = startup_seconds()
     measured("startup_seconds", startup, *(startup_line(*each) for each in startup.items()))
-    with doing("Watching memory"):
+    with doing("Measuring memory"):
         memory = memory_megabytes(port, workload)
     measured("memory_mb", memory, *(memory_line(*each) for each in memory.items()))
     if plot is not None:

@@ -35,7 +35,7 @@ class Bench(Options):
             raise TrainerError(f"--official {self.official} is no program; give a Python that has mlagents-envs 1.1.0.")
         from trainer.activity import doing
 
-        with doing("Loading what is measured"):
+        with doing("Getting ready to measure"):
             from trainer.bench.measure import run_bench
 
         run_bench(self.json, self.plot, self.official, self.base_port, Terminal())

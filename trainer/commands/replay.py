@@ -53,7 +53,7 @@ class Replay(Options):
                 find_checkpoint(folder.checkpoints, self.checkpoint)
                 check_launchable(config.env)
                 check_connection(config, connection)
-            with doing("Loading what draws"):
+            with doing("Getting ready to draw"):
                 from trainer.viewer.replay_files import replay_run
 
             page, *_ = replay_run(
