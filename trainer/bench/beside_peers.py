@@ -28,9 +28,9 @@ from trainer.signals import temporary_folder
 OURS = Peer("this trainer, in process", "our_program", "curious-corridor[trainer]")
 EVERYONE = (
     OURS,
-    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO),
+    Peer("in process, with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO),
     Peer("this trainer, through gRPC", OURS.module, OURS.package, over_grpc=True),
-    Peer("the same with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO, over_grpc=True),
+    Peer("through gRPC, with curiosity", OURS.module, OURS.package, c=CURIOSITY_RATIO, over_grpc=True),
     Peer("Stable-Baselines3", "sb3_program", "stable-baselines3"),
     Peer("SBX (JAX)", "sbx_program", "sbx-rl", ("sbx-rl==0.28.0", same_torch())),
     Peer("one file of torch (CleanRL's way)", "torch_program", "torch"),

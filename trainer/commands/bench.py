@@ -18,7 +18,7 @@ class Bench(Options):
     """Measure exchange, training, start-up and memory on this machine, or training beside that of others."""
 
     json: Path | None = None
-    """Write the figures to this file."""
+    """Write the figures to this file, each as soon as it is known: Ctrl-C keeps what was measured."""
     plot: Path | None = None
     """Draw rates to this PNG file."""
     official: str | None = None
@@ -35,7 +35,10 @@ class Bench(Options):
                 check_file(path, option)
         if self.official is not None and shutil.which(self.official) is None:
             raise TrainerError(f"--official {self.official} is no program; give a Python that has mlagents-envs 1.1.0.")
-        from trainer.bench.measure import run_bench, run_peers
+        from trainer.activity import doing
+
+        with doing("Getting ready to measure"):
+            from trainer.bench.measure import run_bench, run_peers
 
         (run_peers if self.peers else run_bench)(self.json, self.plot, self.official, self.base_port, Terminal())
         return 0

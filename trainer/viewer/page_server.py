@@ -43,13 +43,14 @@ if (token) location.replace("/?token=" + encodeURIComponent(token));
 """
 
 
-def watch(results_dir: Path, port: int, console: Terminal) -> None:
+def watch(results_dir: Path, port: int, console: Terminal, ready: Callable[[str], None] | None = None) -> None:
     """Serves the page until Ctrl-C.
 
     Args:
         results_dir: The runs' folder; it need not exist yet.
         port: On loopback; 0 takes a free one.
         console: Told the address, which has the token in it.
+        ready: Told it, too, once the page can be opened.
 
     Raises:
         TrainerError: The port is in use, or may not be opened.
@@ -61,6 +62,8 @@ def watch(results_dir: Path, port: int, console: Terminal) -> None:
     try:
         console.print(f"Watching {results_dir}: open {server.address}")
         console.print("Ctrl-C ends it; training goes on.")
+        if ready is not None:
+            ready(server.address)
         server.serve_forever()
     finally:
         server.server_close()
