@@ -44,10 +44,12 @@ trainer/viewer/page/node_modules: trainer/viewer/page/package-lock.json
 	cd trainer/viewer/page && npm ci
 	touch $@
 
-docs: $(INSTALLED)  ## write docs/parameters.md's table from the code
+docs: $(INSTALLED)  ## write docs/parameters.md's table and docs/presets/ from the code
 	$(BIN)/python -c "from pathlib import Path; from corridor_server.corridor.corridor_config import parameter_table; \
 		path = Path('docs/parameters.md'); text = path.read_text(); \
 		path.write_text(text[:text.index('| name')] + parameter_table() + '\n')"
+	$(BIN)/python -c "from pathlib import Path; from trainer.paper_settings import preset_file; from trainer.presets import PRESETS; \
+		[Path('docs/presets', f'{name}.yaml').write_text(preset_file(name)) for name in PRESETS]"
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -103,6 +103,8 @@ class Player:
         asked: dict[str, int] | None = None  # how many agents want an action; nobody was heard of yet
         state_wanted = False
         while (command := wire.command(reply, simulation.behaviors, asked)).number != QUIT:
+            if asked is None and side_channels.AREA_STATE not in dict(side_channels.split(command.side_channel)):
+                simulation.forgo_snapshots()
             state_wanted |= self._apply_side_channels(simulation, command.side_channel)
             if command.actions is None:  # a RESET, or a STEP before the first one
                 moment, statistics = timing.reset()

@@ -23,7 +23,7 @@ def settings(run_id: str = "fast", env: str = "builtin") -> RunConfig:
 def begun_run(config: RunConfig, results: Path) -> RunFolder:
     """The folder of a run that has been begun, and has done nothing yet."""
     with RunFolder.claim(config, results, resume=False, force=False) as (folder, draft):
-        RunFolder(draft.path).record(config, {}, config.num_areas)
+        RunFolder(draft.path).record(config, {"name": "Corridor?team=0"}, config.num_areas)
         draft.publish()
     return folder
 

@@ -1,7 +1,7 @@
 """Everything that decides a run: presets, hyperparameters, and the record that ``configuration.yaml`` keeps."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -11,20 +11,18 @@ from trainer.behavior_settings import BehaviorSettings
 from trainer.corridor import check_areas
 from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
+from trainer.hyperparameters import OTHERS, Algorithm, CuriosityConfig, OtherConfig, PPOConfig
 from trainer.listed_behaviors import check_behaviors, read_behaviors, settings_for
 from trainer.options import (
     NAME_BYTES,
     Count,
     Options,
     Port,
-    Positive,
     Ratio,
     Seconds,
     Seed,
     Settings,
-    Share,
     Steps,
-    Units,
     is_name,
 )
 
@@ -32,134 +30,9 @@ PAPER_STEPS = 1_500_000
 BASE_PORT = 5005  # mlagents-learn's
 EDITOR_TIME_SCALE = 100  # the most that the Unity editor takes
 PresetName = Literal["fast", "paper"]
-Algorithm = Literal["ppo", "a2c", "trpo", "ddpg"]
-Intrinsic = Literal["icm", "rnd"]
 ExecutorName = Literal["local", "ray"]
 Device = Literal["auto", "cpu", "cuda"]
 Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]
-
-
-@dataclass(frozen=True)
-class PPOConfig(Settings):
-    """Hyperparameters of Stable-Baselines3's PPO (section III-A).
-
-    Attributes:
-        n_steps: Steps of each area in an update.
-        minibatches: Minibatches that an update's steps are cut into.
-        epochs: Passes over an update's steps.
-        learning_rate: Adam's, at the beginning.
-        anneal: Lower the learning rate linearly to 0 over the run.
-        gamma: Discount factor of eq. 1.
-        gae_lambda: Generalised advantage estimation's lambda.
-        clip_range: Epsilon of eq. 5.
-        clip_range_vf: The same for the value function.
-        ent_coef: Weight of the entropy bonus.
-        vf_coef: Weight of the value loss.
-        max_grad_norm: Limit of the gradient's norm.
-        hidden_size: Units in each of the two hidden layers of actor and critic, which share none.
-        log_std_init: Logarithm of the actions' standard deviation at the beginning.
-    """
-
-    n_steps: Count = 16
-    minibatches: Count = 8
-    epochs: Count = 4
-    learning_rate: Positive = 5e-4
-    anneal: bool = True
-    gamma: Share = 0.96
-    gae_lambda: Share = 0.95
-    clip_range: Positive = 0.2
-    clip_range_vf: Positive = 0.2
-    ent_coef: Positive = 0.0
-    vf_coef: Positive = 0.5
-    max_grad_norm: Positive = 0.5
-    hidden_size: Units = 64
-    log_std_init: float = -0.5
-
-
-@dataclass(frozen=True)
-class A2CConfig(Settings):
-    """What A2C, the synchronous A3C (section III-A), has for itself; the rest is PPO's.
-
-    Attributes:
-        n_steps: Steps of each area in an update.
-        learning_rate: RMSProp's, at the beginning.
-    """
-
-    n_steps: Count = 5
-    learning_rate: Positive = 7e-4
-
-
-@dataclass(frozen=True)
-class TRPOConfig(Settings):
-    """What TRPO (section III-A) has for itself; the rest is PPO's, the steps in an update too.
-
-    Attributes:
-        learning_rate: Adam's for the value function, at the beginning.
-        target_kl: Bound on the divergence between old and new policy.
-    """
-
-    learning_rate: Positive = 1e-3
-    target_kl: Positive = 0.01
-
-
-@dataclass(frozen=True)
-class DDPGConfig(Settings):
-    """What DDPG (section III-A) has for itself; gamma and network sizes are PPO's.
-
-    Attributes:
-        learning_rate: Adam's.
-        buffer_size: Transitions in the replay buffer.
-        learning_starts: Agent steps of random actions before the first update.
-        batch_size: Transitions in a gradient step.
-        gradient_steps: After every step of all areas.
-        tau: How far the target networks move in a gradient step.
-        action_noise: Deviation of the Gaussian noise on actions.
-    """
-
-    learning_rate: Positive = 1e-3
-    buffer_size: Count = 1_000_000
-    learning_starts: Annotated[int, Range(0)] = 10_000
-    batch_size: Count = 256
-    gradient_steps: Count = 8
-    tau: Share = 0.005
-    action_noise: Positive = 0.2
-
-
-@dataclass(frozen=True)
-class CuriosityConfig(Settings):
-    """How curious the agent is, and how its curiosity learns (section III-B).
-
-    Attributes:
-        c: Limits the intrinsic reward before it is added to the extrinsic one (the paper's curiosity ratio).
-        scale: Fixed factor on eq. 6, which brings r_i to the size that the paper's values of c presuppose.
-        feature_size: Size of the encoding phi.
-        hidden_size: Units in the hidden layer of each network.
-        learning_rate: Adam's.
-        encoder_rate: The encoder's part of it. A slow encoder keeps what the inverse model has no use for, such as the
-            switch, in its features for longer.
-        minibatches: Gradient steps per update; each transition is used once.
-        forward_weight: Share of the forward model's loss; the inverse model has the rest.
-        intrinsic: ``icm``, the module of Fig. 2, or ``rnd``, random network distillation (ref. [14]).
-        rnd_scale: ``scale`` for ``rnd``; with it, r_i is at first about as large as with ``icm``.
-        next_state: What follows an episode's last state: ``terminal``, its own last observation, or ``reset``, the
-            next episode's first, as a Gym loop that looks only at the returned observation has it.
-    """
-
-    c: Ratio = 0.3
-    scale: Positive = 3.0
-    feature_size: Units = 32
-    hidden_size: Units = 64
-    learning_rate: Positive = 1e-3
-    encoder_rate: Positive = 0.01
-    minibatches: Count = 8
-    forward_weight: Share = 0.2
-    next_state: Literal["terminal", "reset"] = "reset"
-    intrinsic: Intrinsic = "icm"
-    rnd_scale: Positive = 1.8
-
-
-OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
-OTHERS: dict[Algorithm, type[OtherConfig]] = {"a2c": A2CConfig, "trpo": TRPOConfig, "ddpg": DDPGConfig}
 
 
 @dataclass(frozen=True)
@@ -273,6 +146,7 @@ class RunConfig(Settings):
         default_settings: The same of those that are not listed; None if there is no such section.
         unlisted_settings: The same of any behavior, where there is neither; without a preset, the corridor has its own.
         device: Where networks compute; ``auto`` is a GPU where PyTorch sees one.
+        behavior: In lockstep, the behavior's name without its team, if a file has settings for it.
 
     Raises:
         TrainerError: A setting is of another type or out of its range, the run id is no folder's name, or the player
@@ -303,6 +177,7 @@ class RunConfig(Settings):
     default_settings: dict[str, Any] | None = None
     unlisted_settings: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False)
     device: Device = "auto"
+    behavior: str | None = dataclasses.field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -336,16 +211,26 @@ class RunConfig(Settings):
         """
         names = dict.fromkeys(each.partition("?")[0] for each in found)
         default = self.default_settings if self.behaviors or self.default_settings else self.unlisted_settings
-        environment = {"env_path": self.env, "env_args": self.env_args, "num_envs": self.num_envs}
         parameters = {
             name: value for name, value in self.environment_parameters.items() if name not in self.preset_parameters
         }
         return {
             "behaviors": {name: self.settings_for(name).as_dict() for name in names},
             **({} if default is None else {"default_settings": default}),
+            **self.surroundings(parameters),
+        }
+
+    def surroundings(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """The sections of that form that are about no behavior.
+
+        Args:
+            parameters: The environment's, as they are to stand there.
+        """
+        environment = {"env_path": self.env, "env_args": self.env_args, "num_envs": self.num_envs}
+        return {
             "env_settings": {**environment, "num_areas": self.num_areas, "seed": self.seed},
-            "engine_settings": dataclasses.asdict(self.engine),
-            "environment_parameters": parameters,
+            "engine_settings": {**dataclasses.asdict(self.engine), "no_graphics": not self.graphics},
+            "environment_parameters": dict(parameters),
             "torch_settings": {"device": self.device},
         }
 

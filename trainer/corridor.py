@@ -19,6 +19,8 @@ from trainer.errors import TrainerError
 if TYPE_CHECKING:
     from mlagents_envs.base_env import BehaviorSpec
 
+BEHAVIOR = "Corridor"
+
 # What a player reports of each ended episode over the statistics channel.
 SUCCESS = "Corridor/Success"
 OPPONENT_CONTACTS = "Corridor/Opponent Contacts"
@@ -47,7 +49,7 @@ LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR = map(
 
 def is_corridor(behavior: str) -> bool:
     """Whether a behavior claims to be the paper's corridor."""
-    return behavior.partition("?")[0] == "Corridor"
+    return behavior.partition("?")[0] == BEHAVIOR
 
 
 def check_contract(spec: "BehaviorSpec") -> None:

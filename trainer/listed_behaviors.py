@@ -49,15 +49,16 @@ def _over(default: BehaviorSettings | None, values: Mapping[Any, Any]) -> Mappin
             "hyperparameters another trainer can't have; take default_settings out, or give both the same.",
             "trainer_type",
         )
-    return _merged(default.as_dict(), values)
+    return merged(default.as_dict(), values)
 
 
-def _merged(below: Mapping[Any, Any], above: Mapping[Any, Any]) -> dict[Any, Any]:
-    merged = dict(below)
+def merged(below: Mapping[Any, Any], above: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Names and values, those of the second over those of the first, also within sections."""
+    both = dict(below)
     for name, value in above.items():
-        both = isinstance(merged.get(name), Mapping) and isinstance(value, Mapping)
-        merged[name] = _merged(merged[name], value) if both else value
-    return merged
+        are_sections = isinstance(both.get(name), Mapping) and isinstance(value, Mapping)
+        both[name] = merged(both[name], value) if are_sections else value
+    return both
 
 
 def settings_for(

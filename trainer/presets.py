@@ -4,8 +4,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from trainer.config import OTHERS, Algorithm, CuriosityConfig, Intrinsic, PPOConfig, PresetName, RunConfig
+from trainer.config import PresetName, RunConfig
 from trainer.corridor import CORRIDOR, DEFAULT_PENALTY
+from trainer.hyperparameters import OTHERS, Algorithm, CuriosityConfig, Intrinsic, OtherConfig, PPOConfig
 
 CURIOSITY_RATIO = 0.3  # what the case studies have
 
@@ -47,10 +48,29 @@ def preset_run(
     num_areas: int | None = None,
     intrinsic: Intrinsic = "icm",
     environment_parameters: dict[str, Any] | None = None,
+    base: Preset | None = None,
+    own: OtherConfig | None = None,
     **others: Any,
 ) -> RunConfig:
-    """A run with a preset's hyperparameters and corridor, but for what is given; others are RunConfig's."""
-    chosen, given = PRESETS[preset], environment_parameters or {}
+    """A run with a preset's hyperparameters and corridor, but for what is given.
+
+    Args:
+        run_id: Its name, as this and most others are RunConfig's.
+        preset: Which.
+        c: Curiosity's.
+        seed: The run's.
+        steps: To train for.
+        env: Where the players are.
+        algo: What learns.
+        penalty: Of a failed episode.
+        num_areas: In each player; None is the preset's.
+        intrinsic: What curiosity is paid for.
+        environment_parameters: Over those of the preset's corridor.
+        base: Has the hyperparameters in the preset's place.
+        own: What the algorithm has for itself; None is its defaults.
+        **others: RunConfig's.
+    """
+    chosen, given = base or PRESETS[preset], environment_parameters or {}
     both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
     corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
     return RunConfig(
@@ -65,7 +85,7 @@ def preset_run(
         through_gym=chosen.through_gym,
         ppo=chosen.ppo,
         curiosity=dataclasses.replace(chosen.curiosity, c=c, intrinsic=intrinsic),
-        other=OTHERS[algo]() if algo in OTHERS else None,
+        other=own or (OTHERS[algo]() if algo in OTHERS else None),
         environment_parameters={**corridor, **given},
         preset_parameters=[name for name in corridor if name not in given],
         **others,

@@ -11,12 +11,14 @@ from typing import Any, ClassVar, Self
 
 from corridor_server.shared.given import mapping_of, read_text, shown
 from trainer.behavior_settings import BehaviorSettings, CuriositySignal, RewardSignal, RewardSignals, RNDSignal
-from trainer.config import Device, EngineConfig, Intrinsic, Restarts
+from trainer.config import Device, EngineConfig, Restarts
 from trainer.corridor import PENALTY, check_parameter
 from trainer.curriculum import Curricula, read_lessons
 from trainer.errors import SettingError, TrainerError
+from trainer.hyperparameters import Intrinsic
 from trainer.listed_behaviors import read_behaviors
 from trainer.options import Count, Port, Seconds, Seed, Settings, names_and_values, nearest
+from trainer.paper_settings import PaperBehavior, read_paper_behavior
 from trainer.parameter_values import NUMBER, parse_parameter
 
 SECTIONS = (
@@ -133,6 +135,7 @@ class RunOptions:
     Attributes:
         behaviors: How each behavior is trained, by its name without its team, default settings included.
         default_settings: How the others are; None if the file doesn't say.
+        paper: The one behavior that is trained as the paper's; None if there is none.
         env_settings: Where the environment is.
         engine_settings: Those of Unity's engine settings that the file has.
         graphics: Whether launched builds render; None if the file doesn't say.
@@ -144,6 +147,7 @@ class RunOptions:
 
     behaviors: Mapping[str, BehaviorSettings] = field(default_factory=dict)
     default_settings: BehaviorSettings | None = None
+    paper: PaperBehavior | None = None
     env_settings: EnvSettings = EnvSettings()
     engine_settings: Mapping[str, Any] = field(default_factory=dict)
     graphics: bool | None = None
@@ -174,6 +178,8 @@ class RunOptions:
     @property
     def max_steps(self) -> int | None:
         """The most that a listed behavior trains for, else what is the default; None if the file has neither."""
+        if self.paper is not None:
+            return self.paper.settings.max_steps
         settings: list[BehaviorSettings | None] = [*self.behaviors.values()]
         settings = settings or [self.default_settings]
         return max((each.max_steps for each in settings if each is not None), default=None)
@@ -247,8 +253,10 @@ def _sections(values: Mapping[Any, Any]) -> dict[str, Any]:
                 raise SettingError(f"The setting debug is {shown(given[name])}, but true or false was expected.", name)
         elif name not in SECTIONS:
             raise SettingError(f"There is no section {shown(name)}; {nearest(name, SECTIONS)}.", name)
-    behaviors, default = read_behaviors(given.get("behaviors", {}), given.get("default_settings"))
-    made: dict[str, Any] = {"behaviors": behaviors, "default_settings": default}
+    of_behaviors = given.get("behaviors", {}), given.get("default_settings")
+    paper = read_paper_behavior(*of_behaviors)
+    behaviors, default = read_behaviors(*of_behaviors) if paper is None else ({}, None)
+    made: dict[str, Any] = {"behaviors": behaviors, "default_settings": default, "paper": paper}
     kinds: dict[str, type[Settings]] = {
         "env_settings": EnvSettings,
         "checkpoint_settings": CheckpointSettings,

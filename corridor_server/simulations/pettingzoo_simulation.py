@@ -24,6 +24,7 @@ from corridor_server.simulations.observation_sensors import ObservationSensors, 
 from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
     Moment,
+    NotRestored,
     SimulationError,
     Statistics,
     blaming,
@@ -160,7 +161,8 @@ class PettingZooSimulation(PlaysAgain):
         """Gives every agent that asked its action, and begins an episode where none of its agents is left."""
         self.restored = False
         asking = {name: agents.deciding.ids for name, agents in self._last.items() if self._asked[name]}
-        self._episodes.act(asking, actions)
+        if self._episodes is not None:
+            self._episodes.act(asking, actions)
         chosen: list[dict[str, Any]] = [{} for _ in self._areas]
         for name, asked in self._asked.items():
             if asked:
@@ -179,6 +181,8 @@ class PettingZooSimulation(PlaysAgain):
 
     def snapshot(self) -> NDArray[np.void] | None:
         """The running episodes, to be played again; None if that can't be done."""
+        if self._episodes is None:
+            return None
         if not self._last:
             return np.empty(0, OF_ANY_LENGTH)
         return self._episodes.snapshot(self._last, {"parameters": self._parameters.state()})
@@ -192,20 +196,24 @@ class PettingZooSimulation(PlaysAgain):
         seed, self._seeds[number] = self._seeds[number], None  # a later episode goes on with its random numbers
         settings = self._parameters.draw(number)
         with blaming(f"{self._environment.module} failed in a reset"):
-            self._episodes.begin(number, seed, settings)
+            if self._episodes is not None:
+                self._episodes.begin(number, seed, settings)
             self._areas[number].reset(seed, settings)
 
     def _play_again(self, rows: NDArray[np.void]) -> None:
         if self._last:
             self._renew()
-        acted, saved = self._episodes.take_up(
+        episodes = self._episodes
+        if episodes is None:
+            raise NotRestored("its running episodes are not kept")
+        acted, saved = episodes.take_up(
             rows, lambda number, seed, settings: self._areas[number].reset(seed, settings or {})
         )
         for number, area in enumerate(self._areas):
             ids = range(number * len(self._names), (number + 1) * len(self._names))
             chosen: dict[int, dict[str, Any]] = {}  # by step
             for done in acted.values():
-                mine = done.of(ids, self._episodes.began_at(number))
+                mine = done.of(ids, episodes.began_at(number))
                 agents = [self._names[each - ids.start] for each in mine.ids.tolist()]
                 actions = self._read(agents[0], mine.actions) if agents else ()
                 for step, agent, action in zip(mine.steps.tolist(), agents, actions, strict=True):
@@ -213,7 +221,7 @@ class PettingZooSimulation(PlaysAgain):
             for step in sorted(chosen):
                 area.step(chosen[step])
         self._told([(number, event) for number, area in enumerate(self._areas) for event in area.asking()], "a reset")
-        self._episodes.check(self._last, saved)
+        episodes.check(self._last, saved)
         self._parameters.restore(saved["parameters"])
         self._seeds = [None] * len(self._areas)
 

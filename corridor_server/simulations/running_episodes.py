@@ -237,10 +237,16 @@ class PlaysAgain(Simulation):
     """A simulation whose state is its running episodes, which are played again.
 
     Attributes:
+        _episodes: Its running ones; None if they are not kept.
         _seeds: Of each copy's next episode; None goes on with the random numbers of the one before.
     """
 
+    _episodes: RunningEpisodes | None
     _seeds: list[int | None]
+
+    def forgo_snapshots(self) -> None:
+        """Keeps no running episodes: looking at what a copy remembers takes longer than many a step."""
+        self._episodes = None
 
     def restore(self, rows: NDArray[np.void]) -> None:
         """Plays the episodes again.

@@ -109,6 +109,9 @@ class Simulation(ABC):
         """All that decides what happens from here on, as rows of any form; None if that can't be had."""
         return None
 
+    def forgo_snapshots(self) -> None:  # noqa: B027 - most keep nothing for them
+        """Is told before the first reset that the trainer will ask for no snapshots: nothing has to be kept for any."""
+
     def restore(self, rows: NDArray[np.void]) -> None:
         """Takes up what ``snapshot`` gave.
 

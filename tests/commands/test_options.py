@@ -13,8 +13,9 @@ from trainer.commands.evaluate import Evaluate
 from trainer.commands.replay import Replay
 from trainer.commands.shared_options import ExistingRun
 from trainer.commands.train import Train
-from trainer.config import ConnectionOptions, CuriosityConfig, EngineConfig, PortOptions, PPOConfig, RestartLimits
+from trainer.config import ConnectionOptions, EngineConfig, PortOptions, RestartLimits
 from trainer.errors import TrainerError
+from trainer.hyperparameters import CuriosityConfig, PPOConfig
 from trainer.main import main
 from trainer.options import Count, Options, Port, Seconds, Seed
 

@@ -88,7 +88,7 @@ def started(tmp_path_factory):
     place = tmp_path_factory.mktemp("start")
     run = RunFolder(place / "results" / "run")
     run.path.mkdir(parents=True)
-    run.record(preset_run("run", "fast", c=0.3, seed=0, steps=1000), {}, 128)
+    run.record(preset_run("run", "fast", c=0.3, seed=0, steps=1000), {"name": "Corridor?team=0"}, 128)
     (place / "results" / "study").mkdir()
     (place / "results" / "study" / "claims.json").touch()
     (place / "wrong.yaml").write_text("behaviours: {}\n")

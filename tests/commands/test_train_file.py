@@ -171,7 +171,7 @@ def test_players_are_told_the_first_lesson(typed):
 def recorded(run, tmp_path, **changes):
     folder = RunFolder(tmp_path / run.run_id)
     folder.path.mkdir(exist_ok=True)
-    folder.record(run, {}, 1)
+    folder.record(run, {"name": "Corridor?team=0"}, 1)
     if changes:
         record = yaml.safe_load(folder.configuration.read_text())
         record["run"].update(changes)

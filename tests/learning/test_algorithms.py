@@ -10,8 +10,9 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, DDPG
 from stable_baselines3.common.env_util import make_vec_env
 
-from trainer.config import CuriosityConfig, DDPGConfig, RunConfig
+from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.hyperparameters import CuriosityConfig, DDPGConfig
 from trainer.learning.rnd import RandomNetworkDistillation
 from trainer.learning.stages import Stages, build_stages
 from trainer.main import main

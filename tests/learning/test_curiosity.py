@@ -9,7 +9,7 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from trainer.config import CuriosityConfig
+from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.curiosity import Curiosity
 from trainer.learning.icm import IntrinsicCuriosityModule
 from trainer.learning.networks import Adam, Network

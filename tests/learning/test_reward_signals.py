@@ -11,7 +11,7 @@ from gymnasium import spaces
 from torch import Tensor
 
 from corridor_server.protocol.agents import Behavior, Sensor
-from trainer.config import CuriosityConfig
+from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.icm import IntrinsicCuriosityModule
 from trainer.learning.lean_reward_signals import LeanCuriosity, LeanRND
 from trainer.learning.reward_signals import CuriosityModule, RNDModule

@@ -80,6 +80,16 @@ def test_discrete_actions_and_two_sensors_train_and_export(tmp_path, free_port):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("how", [(), ("--preset", "fast"), ("settings.yaml",)])
+def test_a_penalty_that_the_build_is_not_told_of_is_refused(tmp_path, free_port, monkeypatch, how):
+    monkeypatch.chdir(tmp_path)
+    Path("settings.yaml").write_text("default_settings: {max_steps: 100}")
+    Path("spec.toml").write_text(CORRIDOR if how == ("settings.yaml",) else CORRIDOR.replace('"Corridor"', '"Walker"'))
+    done = train(tmp_path, free_port, *how, "--penalty", "0", "--env-args", "--spec", "spec.toml")
+    assert done.returncode == 1
+    assert "--penalty is 0, but only the corridor has one, and only in runs that train as a preset does" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("scene", "says"),
     [

@@ -8,15 +8,18 @@ import onnx
 import pytest
 import torch
 from conftest import BIN, corridor_here
-from exported import FLOAT, INT, form, session
+from exported import FLOAT, INT, session
+from exported import form as exported_form
 
 from corridor_server.protocol.agents import Agents, Behavior, Sensor
 from trainer.behavior_settings import BehaviorSettings
 from trainer.commands.train import Train
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.learning.learner import Learner
 from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
+from trainer.learning.sac_learner import SACLearner
 from trainer.runs import onnx_graph
 from trainer.runs.behavior_learners import LEARNER, plain_behavior
 from trainer.runs.checkpoint import CheckpointWriter, to_bytes
@@ -125,7 +128,7 @@ def as_unity_gives(behavior: Behavior) -> dict[str, np.ndarray]:
     return feed
 
 
-def equals(program: bytes, learner: PPOLearner) -> None:
+def equals(program: bytes, learner: Learner) -> None:
     """The most likely actions are those that a player gets; forbidden choices are neither they nor sampled."""
     behavior, model = learner.behavior, session(program)
     learner.play()
@@ -152,8 +155,8 @@ def equals(program: bytes, learner: PPOLearner) -> None:
 @EVERY_KIND
 def test_names_order_shapes_and_types_are_those_of_mlagents_learn(behavior, inputs, outputs):
     program = learner_as_onnx(learner_of(behavior))
-    assert form(session(program).get_inputs()) == inputs
-    assert form(session(program).get_outputs()) == ALWAYS + outputs
+    assert exported_form(session(program).get_inputs()) == inputs
+    assert exported_form(session(program).get_outputs()) == ALWAYS + outputs
     assert [(each.domain, each.version) for each in onnx.load_from_string(program).opset_import] == [("", 9)]
 
 
@@ -167,6 +170,27 @@ def test_actions_are_those_that_players_got(behavior, inputs, outputs):
 def test_every_encoder_of_pictures(vis_encode_type):
     learner = learner_of(Behavior("Any", (SQUARE,), 2), vis_encode_type=vis_encode_type)
     equals(learner_as_onnx(learner), learner)
+
+
+@pytest.mark.parametrize("form", ["continuous", "picture", "buffer alone"])
+def test_the_actions_of_sac_are_squashed_and_their_deviations_what_it_sees(form):
+    behavior, inputs, outputs = FORMS[form]
+    settings = BehaviorSettings.from_mapping(
+        {
+            "trainer_type": "sac",
+            "hyperparameters": {"buffer_size": 200},
+            "network_settings": {"normalize": True, "hidden_units": 16},
+        }
+    )
+    torch.manual_seed(1)
+    learner = SACLearner(behavior, settings, build_signals(behavior, settings, 0))
+    with torch.no_grad():
+        learner.policy.actor.mu.weight.mul_(20.0)
+    learner.observations.learn(Agents.that_ask(np.arange(1, ROWS), tuple(each[1:] for each in drawn(behavior)), []))
+    program = learner_as_onnx(learner)
+    assert exported_form(session(program).get_inputs()) == inputs
+    assert exported_form(session(program).get_outputs()) == ALWAYS + outputs
+    equals(program, learner)
 
 
 def test_goal_signals_beside_the_others_and_vectors_as_they_are():
@@ -243,7 +267,7 @@ def test_of_several_behaviors_each_has_its_file(tmp_path):
     files = {each.name: each for each in tmp_path.glob("*.onnx*")}
     assert files.keys() == {"Mine-Big%20Fox.onnx", "Mine-Hare.onnx"}
     assert all(f"Wrote {each}\n" in done.stdout for each in files.values())
-    assert form(session(files["Mine-Hare.onnx"]).get_inputs())[0] == ("obs_0", ["batch", 3], FLOAT)
+    assert exported_form(session(files["Mine-Hare.onnx"]).get_inputs())[0] == ("obs_0", ["batch", 3], FLOAT)
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from corridor_server.player import Player, PlayerError
 from corridor_server.protocol.agents import Agents, Behavior, Sensor
 from corridor_server.protocol.messages import QUIT, RESET, UnityMessageProto
+from corridor_server.protocol.side_channels import AREA_STATE, message
 from corridor_server.protocol.trainer_messages import command, initialization
 from corridor_server.simulations.simulation import Simulation
 
@@ -159,6 +160,7 @@ class TwoBehaviors(Simulation):
 
     def __init__(self, other):
         self.other = other
+        self.forgone = False
 
     @property
     def behaviors(self):
@@ -174,6 +176,12 @@ class TwoBehaviors(Simulation):
 
     def step(self, actions):
         raise NotImplementedError
+
+    def forgo_snapshots(self):
+        self.forgone = True
+
+    def snapshot(self):
+        return np.zeros(1, [("row", "<i4")])
 
 
 class Script:
@@ -192,10 +200,20 @@ def test_agents_of_two_behaviors_with_one_id_stop_the_player_with_a_sentence():
     said = "an agent 1 of Fox?team=0 and one of Hare?team=0, but ids that are unique over all behaviors were expected"
     with pytest.raises(PlayerError, match=re.escape(said)):
         Player(script, lambda seed, count: TwoBehaviors(1), "test").run()
-    assert [message.header.status for message in script.told] == [200, 200, 400]
+    assert [told.header.status for told in script.told] == [200, 200, 400]
     script = Script(initialization(seed=1, num_areas=1), command(RESET), command(QUIT))
     Player(script, lambda seed, count: TwoBehaviors(2), "test").run()
     assert len(script.told[-1].unity_output.rl_output.agentInfos) == 2
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_a_trainer_that_does_not_ask_for_the_state_with_its_first_reset_will_not_ask(asks):
+    side_channel = message(AREA_STATE, b"") if asks else b""
+    script = Script(initialization(seed=1, num_areas=1), command(RESET, side_channel=side_channel), command(QUIT))
+    simulation = TwoBehaviors(2)
+    Player(script, lambda seed, count: simulation, "test").run()
+    assert simulation.forgone is not asks
+    assert bool(script.told[-1].unity_output.rl_output.side_channel) is asks
 
 
 def test_nobody_listening_is_one_sentence_with_host_port_and_seconds(free_port):

@@ -141,6 +141,13 @@ def test_a_snapshot_changes_nothing(make):
         assert seen == expected
 
 
+def test_for_a_trainer_that_will_not_ask_nothing_is_kept(make):
+    simulation = make()
+    simulation.forgo_snapshots()
+    play(simulation, simulation.reset(), 20, np.random.default_rng(0))
+    assert simulation.snapshot() is None
+
+
 def test_an_episode_that_was_restored_ends_at_a_reset_when_a_parameter_has_changed(make):
     first = make()
     play(first, first.reset(), 1, np.random.default_rng(0))

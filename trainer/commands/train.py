@@ -9,22 +9,22 @@ import tyro
 
 from corridor_server.shared.given import Range
 from trainer.commands.shared_options import PRESET, RESULTS, ResultsDir, TrainingOptions
-from trainer.config import (
-    PAPER_STEPS,
-    Algorithm,
-    ConnectionOptions,
-    Device,
-    EngineConfig,
-    Intrinsic,
-    RestartLimits,
-    RunConfig,
-)
+from trainer.config import PAPER_STEPS, ConnectionOptions, Device, EngineConfig, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
+from trainer.hyperparameters import Algorithm, Intrinsic
 from trainer.options import Count, Options, Seed, env_args_of_another
+from trainer.paper_settings import PaperSettings
 from trainer.presets import CURIOSITY_RATIO, PRESETS, preset_run
 from trainer.run_options import RunOptions
 from trainer.signals import INTERRUPTED
+
+
+def _no_effect(option: str, value: object) -> TrainerError:
+    return TrainerError(
+        f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the file's "
+        "behaviors and default_settings."
+    )
 
 
 def _flags_of(config: type[EngineConfig]) -> Any:
@@ -107,8 +107,9 @@ class Train(Options):
             raise TrainerError(f"{self.file} and --config {self.config} are two files; give one of them.")
         if base_port + self.num_envs - 1 > 65535:
             raise TrainerError(f"--base-port is {base_port}, but ports end at 65535.")
+        through_gym = PRESETS[preset].through_gym if self._paper is None else self._paper.through_gym
         for name, count in (("num-areas", self.num_areas), ("num-envs", self.num_envs)):
-            if PRESETS[preset].through_gym and count not in (None, 1):
+            if through_gym and count not in (None, 1):
                 raise TrainerError(
                     f"--{name} is {count}, but preset {preset} trains one area through UnityToGymWrapper; "
                     f"leave --{name} out, or take preset fast."
@@ -143,6 +144,11 @@ class Train(Options):
             values["env"] = env["env_path"]
         if "results_dir" in checkpoints:
             values["results_dir"] = Path(checkpoints["results_dir"])
+        if said.paper is not None:
+            settings = said.paper.settings
+            values |= {"algo": settings.algorithm, "penalty": settings.penalty}
+            values["intrinsic"] = settings.curiosity.intrinsic
+            values["from_sb3"] = None if settings.from_sb3 is None else Path(settings.from_sb3)
         return Train(
             said=said,
             run_id=checkpoints.get("run_id"),
@@ -152,6 +158,10 @@ class Train(Options):
             restarts=RestartLimits(**{name: env[name] for name in restarts if name in env}),
             **values,
         )
+
+    @property
+    def _paper(self) -> PaperSettings | None:
+        return None if self.said is None or self.said.paper is None else self.said.paper.settings
 
     def _read(self) -> RunOptions | None:
         path = self.config if self.file is None else self.file
@@ -176,10 +186,13 @@ class Train(Options):
         behaviors, default, unlisted = said.recorded(self.training.steps, self.c, self.intrinsic)
         if behaviors or default is not None:
             self._check_lockstep()
+        paper = self._paper
+        if paper is not None and self.training.preset is not None:
+            raise _no_effect("--preset", self.training.preset)
         config = preset_run(
             self.run_id,
-            self.training.preset or PRESET,
-            c=CURIOSITY_RATIO if self.c is None else self.c,
+            (self.training.preset or PRESET) if paper is None else paper.preset,
+            c=self.c if self.c is not None else (CURIOSITY_RATIO if paper is None else paper.curiosity.c),
             seed=self.seed,
             steps=self.training.steps or said.max_steps or PAPER_STEPS,
             env=self.env,
@@ -193,10 +206,13 @@ class Train(Options):
             graphics=self.graphics or (bool(said.graphics) and not self.no_graphics and self._is_build()),
             engine=EngineConfig(**{**said.engine_settings, **engine}),
             environment_parameters=said.parameters(self.env_param, ours),
-            preset_given=self.training.preset is not None,
+            base=None if paper is None else paper.base,
+            own=paper.own_hyperparameters if paper is not None and paper.algorithm == self.algo else None,
+            behavior=None if said.paper is None else said.paper.behavior,
+            preset_given=self.training.preset is not None or paper is not None,
             behaviors=behaviors,
             default_settings=default,
-            unlisted_settings={} if ours else unlisted,  # the corridor has its preset
+            unlisted_settings={} if ours or paper is not None else unlisted,  # the corridor has its preset
             device=self.device,
         )
         if ours:
@@ -212,10 +228,7 @@ class Train(Options):
         algo = None if self.algo == "ppo" else self.algo
         for option, value in (("--preset", self.training.preset), ("--algo", algo), ("--from-sb3", self.from_sb3)):
             if value is not None:
-                raise TrainerError(
-                    f"{option} {value} has no effect on behaviors that a file has settings for; leave it out, or the "
-                    "file's behaviors and default_settings."
-                )
+                raise _no_effect(option, value)
 
     def _is_build(self) -> bool:
         from trainer.players.location import can_be_launched

@@ -11,8 +11,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 
-from trainer.config import A2CConfig, DDPGConfig, RunConfig, TRPOConfig
+from trainer.config import RunConfig
 from trainer.errors import TrainerError
+from trainer.hyperparameters import A2CConfig, DDPGConfig, TRPOConfig
 from trainer.learning import adam_steps  # noqa: F401 - its marks are for every optimiser
 from trainer.learning.lean_ppo import LeanPPO
 

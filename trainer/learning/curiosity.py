@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from trainer.config import CuriosityConfig
+from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.icm import IntrinsicCuriosityModule
 from trainer.learning.rnd import RandomNetworkDistillation
 

@@ -4,7 +4,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from trainer.config import CuriosityConfig
+from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.kernels import Singles
 from trainer.learning.networks import Network, joined
 

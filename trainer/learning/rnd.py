@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from trainer.config import CuriosityConfig
+from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.kernels import Singles
 from trainer.learning.networks import Network, joined
 

@@ -29,7 +29,9 @@ class PlayerState(SideChannel):  # type: ignore[misc]  # mlagents_envs has no ty
         self.state: bytes | None = None
         self.is_refused = False
         self._asked = self._known = False
-        if restored is not None:
+        if restored is None:
+            self.ask()  # a player that is not asked before its first episodes need not keep what they began with
+        else:
             self._send(restored)
 
     @property

@@ -12,8 +12,9 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
+from corridor_server.shared.given import shown
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
-from trainer.corridor import is_corridor
+from trainer.corridor import DEFAULT_PENALTY, is_corridor
 from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
@@ -208,21 +209,34 @@ def _open_players(
         try:
             with player_errors(logs, number):
                 player.environment.reset()  # behaviors are only known once the player has sent agents
+            if not _becomes_lockstep(config, player):
+                _check_penalty(config)
         except BaseException:
             player.environment.kill()
             raise
         return player
 
     opened.append(begin(0, lives[0]))  # the first shows what there is to train
-    if (
-        config.default_settings is None
-        and not config.behaviors
-        and all(map(is_corridor, opened[0].environment.behavior_specs))
-    ):
+    if _becomes_lockstep(config, opened[0]):
         return Players(
             lambda number, life: _as_slots(config, logs, number, begin(number, life)), lives, limits, logs, launched
         )
     return Scene(begin, lives, limits, logs, launched)
+
+
+def _becomes_lockstep(config: RunConfig, player: Connected) -> bool:
+    """Whether a run that nobody said more of trains as the paper, as its player turned out to be a corridor."""
+    is_said = config.behaviors or config.default_settings is not None
+    return not is_said and all(map(is_corridor, player.environment.behavior_specs))
+
+
+def _check_penalty(config: RunConfig) -> None:
+    """Refuses a penalty of a run whose player will not be told of it."""
+    if config.env != BUILTIN and config.penalty != DEFAULT_PENALTY:
+        raise TrainerError(
+            f"--penalty is {config.penalty:g}, but only the corridor has one, and only in runs that train as a preset "
+            "does; leave it out."
+        )
 
 
 def _is_lockstep(config: RunConfig) -> bool:
@@ -265,10 +279,18 @@ def _as_slots(config: RunConfig, logs: PlayerLogs, number: int, player: Connecte
     environment = player.environment
     try:
         with player_errors(logs, number):
+            found = only_behavior(environment)[0].partition("?")[0]
+            if config.behavior not in (None, found):
+                raise TrainerError(
+                    f"The file has settings for the behavior {shown(config.behavior)}, but the player's is "
+                    f"{shown(found)}; rename it there."
+                )
             if config.env != BUILTIN and is_corridor(only_behavior(environment)[0]):
                 tell_corridor(config, player.parameters)
                 if not config.through_gym:  # UnityToGymWrapper begins with a reset
                     environment.reset()
+            else:
+                _check_penalty(config)
             slots = (
                 _one_area(config, environment, player.statistics)
                 if config.through_gym

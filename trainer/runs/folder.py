@@ -19,6 +19,7 @@ from trainer.drafts import Draft, mend, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.options import is_name
+from trainer.paper_settings import paper_sections
 
 if TYPE_CHECKING:
     from trainer.runs.checkpoint import Checkpoint
@@ -36,7 +37,7 @@ PACKAGES = (
 )
 
 # What follows from other settings; runs of before have not recorded it.
-DERIVED = ("preset_parameters", "preset_given")
+DERIVED = ("preset_parameters", "preset_given", "behavior")
 # Settings that a resumed run may have changed: how long, where, and how fast it trains, but not what.
 MAY_CHANGE = ("steps", "env", "env_args", "graphics", "engine", "device")
 CLAIMS = "claims.json"  # of a study
@@ -132,7 +133,7 @@ class RunFolder:
             raise TrainerError(f"{self.configuration} is missing or not a run's configuration ({error}).") from error
 
     def record(self, config: RunConfig, behavior: dict[str, Any], agents: int) -> None:
-        """Writes ``configuration.yaml``.
+        """Writes ``configuration.yaml`` of a run in lockstep, which ``corridor train`` takes as its file, too.
 
         Args:
             config: The run's settings.
@@ -141,7 +142,8 @@ class RunFolder:
         """
         run = {"run": config.as_dict(), "versions": versions(), "machine": machine()}
         players = {"behavior": behavior, "agents_per_player": agents}
-        write_whole(self.configuration, yaml.safe_dump({**run, **players}, sort_keys=False))
+        sections = paper_sections(config, behavior["name"])
+        write_whole(self.configuration, yaml.safe_dump({**sections, **run, **players}, sort_keys=False))
 
     def record_scene(self, config: RunConfig, behaviors: Mapping[str, Any], agents: int) -> None:
         """Writes ``configuration.yaml`` of a run of any behaviors, which ``corridor train`` takes as its file, too.

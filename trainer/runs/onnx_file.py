@@ -16,7 +16,6 @@ from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.files import write_whole
 from trainer.learning.normaliser import ObservationNormaliser
-from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.stages import Stages, build_stages
 from trainer.learning.transitions import Singles
 from trainer.players.behavior import described, recorded_spec
@@ -25,7 +24,7 @@ from trainer.players.vec_env import action_space, observation_space
 from trainer.runs.behavior_learners import restored_learners
 from trainer.runs.folder import RunFolder
 from trainer.runs.onnx_check import Allowed, Choices, check_graph
-from trainer.runs.onnx_graph import Scaling, graph_of
+from trainer.runs.onnx_graph import Gaussian, Scaling, graph_of
 from trainer.runs.onnx_learner import learner_as_onnx
 from trainer.runs.training import load_trained
 
@@ -49,8 +48,6 @@ def export_run(config: RunConfig, folder: RunFolder, path: Path) -> list[Path]:
     programs = {}
     for name, learner in learners.items():
         own = path.with_stem(f"{path.stem}-{folder.behavior(name, only=False).path.name}")
-        if not isinstance(learner, PPOLearner):
-            raise TrainerError(f"The policy of {name} is SAC's, which can't be exported; train with trainer_type: ppo.")
         programs[own if len(learners) > 1 else path] = learner_as_onnx(learner)
     if not learners:
         programs[path] = _lockstep_as_onnx(config, folder)
@@ -88,7 +85,7 @@ def policy_as_onnx(stages: Stages, spec: BehaviorSpec) -> bytes:
         )
     behavior, scalings = described("", spec), _scalings(stages, spec)
     log_std = torch.zeros(0) if behavior.discrete_branches else policy.log_std
-    program = graph_of(behavior, _LockstepActor(policy), log_std, scalings)
+    program = graph_of(behavior, Gaussian(_LockstepActor(policy), log_std), scalings)
     check_graph(program, behavior, scalings, _LockstepPolicy(policy, stages.normaliser, behavior.discrete_branches))
     return program
 

@@ -12,7 +12,7 @@ inside. All of it is opset 9, attention and convolutions too.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,14 +43,56 @@ class Scaling(NamedTuple):
     deviation: NDArray[np.float64]
 
 
-def graph_of(behavior: Behavior, actor: nn.Module, log_std: Tensor, scalings: Mapping[int, Scaling]) -> bytes:
+class Gaussian(nn.Module):
+    """An actor whose continuous actions are drawn about means, with the same deviations everywhere, and limited.
+
+    Args:
+        network: Makes of observations the means, and then the choices' logits, (n, continuous actions + all branches).
+        log_std: Logarithms of the standard deviations, (continuous actions,).
+    """
+
+    deviation: Tensor
+
+    def __init__(self, network: nn.Module, log_std: Tensor) -> None:
+        super().__init__()
+        self.network, self.size = network, len(log_std)
+        self.register_buffer("deviation", log_std.detach().exp())
+
+    def forward(self, observations: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Drawn actions, the most likely ones, (n, continuous actions) each, and logits, (n, all branches)."""
+        outputs: Tensor = self.network(observations)
+        if not self.size:
+            return outputs, outputs, outputs
+        means = outputs[:, : self.size]
+        sampled = means + self.deviation * torch.randn_like(means)
+        return sampled.clamp(-1.0, 1.0), means.clamp(-1.0, 1.0), outputs[:, self.size :]
+
+
+class Squashed(nn.Module):
+    """An actor whose continuous actions are the tanh of what is drawn about means: SAC's.
+
+    Args:
+        network: Makes of observations the means and the logarithms of the standard deviations, (n, continuous actions)
+            each.
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, observations: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Drawn actions, the most likely ones, (n, continuous actions) each, and something in place of logits."""
+        means, log_std = self.network(observations)
+        return (means + log_std.exp() * torch.randn_like(means)).tanh(), means.tanh(), means
+
+
+def graph_of(behavior: Behavior, actor: Gaussian | Squashed, scalings: Mapping[int, Scaling]) -> bytes:
     """A policy as a serialised ONNX model.
 
     Args:
         behavior: What agents observe and do.
-        actor: Makes of a list of observations, each (n, *shape) float32 and normalised, the continuous actions' means
-            and then the choices' logits, (n, continuous actions + all branches).
-        log_std: Logarithms of the continuous actions' standard deviations, (continuous actions,).
+        actor: Makes of a list of observations, each (n, *shape) float32 and normalised, continuous actions that are
+            drawn, the most likely ones, and the choices' logits; what the behavior has none of may be anything.
         scalings: Of the observations that are normalised, by their place.
     """
     names = [f"obs_{place}" for place in range(len(behavior.sensors))]
@@ -65,7 +107,7 @@ def graph_of(behavior: Behavior, actor: nn.Module, log_std: Tensor, scalings: Ma
         inputs.append(torch.ones(1, sum(behavior.discrete_branches)))
         names.append(MASKS)
         batched.append(MASKS)
-    network = _Graph(behavior, actor, log_std, scalings).eval()
+    network = _Graph(behavior, actor, scalings).eval()
     with temporary_folder() as folder, warnings.catch_warnings():
         path = folder / "policy.onnx"
         # torch calls this exporter deprecated, but its newer one begins at opset 18.
@@ -96,9 +138,8 @@ class _Graph(nn.Module):
     memory_size: Tensor
     continuous_shape: Tensor
     discrete_shape: Tensor
-    deviation: Tensor
 
-    def __init__(self, behavior: Behavior, actor: nn.Module, log_std: Tensor, scalings: Mapping[int, Scaling]) -> None:
+    def __init__(self, behavior: Behavior, actor: nn.Module, scalings: Mapping[int, Scaling]) -> None:
         super().__init__()
         self.actor = actor
         self.size, self.branches = behavior.continuous_actions, list(behavior.discrete_branches)
@@ -113,19 +154,16 @@ class _Graph(nn.Module):
         self.register_buffer("memory_size", torch.tensor([0.0]))
         self.register_buffer("continuous_shape", torch.tensor([float(self.size)]))
         self.register_buffer("discrete_shape", torch.tensor([self.branches], dtype=torch.float32))
-        self.register_buffer("deviation", log_std.detach().exp())
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         observations = [prepare(values) for prepare, values in zip(self.prepare, inputs, strict=False)]
-        outputs: Tensor = self.actor(observations)
+        sampled, likely, logits = self.actor(observations)
         found = [self.version_number, self.memory_size]
         if self.size:
-            means = outputs[:, : self.size] if self.branches else outputs
-            sampled = means + self.deviation * torch.randn_like(means)
-            found += [sampled.clamp(-1.0, 1.0), self.continuous_shape, means.clamp(-1.0, 1.0)]
+            found += [sampled, self.continuous_shape, likely]
         if self.branches:
             allowed = inputs[-1]
-            logits = (outputs[:, self.size :] if self.size else outputs) * allowed + (allowed - 1.0) * BLOCKED
+            logits = logits * allowed + (allowed - 1.0) * BLOCKED
             each = torch.split(logits, self.branches, dim=1)
             choices = torch.cat([torch.multinomial(branch.softmax(dim=1), 1) for branch in each], dim=1)
             best = torch.cat([branch.argmax(dim=1, keepdim=True) for branch in each], dim=1)

@@ -1,21 +1,26 @@
 """The policy of a behavior's learner as ONNX; see ``onnx_graph``."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor, SACPolicy
 from torch import Tensor, nn
 
 from trainer.learning.actor_critic import ActorCritic
+from trainer.learning.learner import Learner
+from trainer.learning.observation_encoder import ObservationEncoder
 from trainer.learning.observation_scaling import EPSILON
 from trainer.learning.ppo_learner import PPOLearner
+from trainer.learning.sac_learner import SACLearner
 from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Singles
-from trainer.runs.onnx_check import Allowed, Choices, check_graph
-from trainer.runs.onnx_graph import Scaling, graph_of
+from trainer.runs.onnx_check import Allowed, Choices, OwnPolicy, check_graph
+from trainer.runs.onnx_graph import Gaussian, Scaling, Squashed, graph_of
 
 
-def learner_as_onnx(learner: PPOLearner) -> bytes:
+def learner_as_onnx(learner: Learner) -> bytes:
     """A learner's policy as a serialised ONNX model, compared with the policy.
 
     Raises:
@@ -25,13 +30,19 @@ def learner_as_onnx(learner: PPOLearner) -> bytes:
         place: Scaling(each.mean, np.sqrt(each.var + EPSILON))
         for place, each in learner.observations.statistics.items()
     }
-    actor = _LearnersActor(learner.policy)
-    program = graph_of(learner.behavior, actor, learner.policy.log_std, scalings)
-    check_graph(program, learner.behavior, scalings, _LearnersPolicy(learner))
+    actor: Gaussian | Squashed
+    policy: OwnPolicy
+    if isinstance(learner, SACLearner):
+        actor, policy = Squashed(_SACActor(learner)), _SACPolicy(learner)
+    else:
+        assert isinstance(learner, PPOLearner)
+        actor, policy = Gaussian(_PPOActor(learner.policy), learner.policy.log_std), _PPOPolicy(learner)
+    program = graph_of(learner.behavior, actor, scalings)
+    check_graph(program, learner.behavior, scalings, policy)
     return program
 
 
-class _LearnersActor(nn.Module):
+class _PPOActor(nn.Module):
     def __init__(self, policy: ActorCritic) -> None:
         super().__init__()
         self.policy = policy
@@ -42,7 +53,7 @@ class _LearnersActor(nn.Module):
         return layer
 
 
-class _LearnersPolicy:
+class _PPOPolicy:
     def __init__(self, learner: PPOLearner) -> None:
         self._policy, self._observations = learner.policy, learner.observations
 
@@ -56,3 +67,38 @@ class _LearnersPolicy:
         means = self._policy.act(scaled, masks, deterministic=True).continuous
         log_probs: Singles = self._policy.evaluate(scaled, masks, means, torch.from_numpy(choices))[1].numpy()
         return log_probs
+
+
+def _sacs_actor(learner: SACLearner) -> Actor:
+    assert isinstance(learner.policy, SACPolicy)
+    return learner.policy.actor
+
+
+class _SACActor(nn.Module):
+    def __init__(self, learner: SACLearner) -> None:
+        super().__init__()
+        self.actor = _sacs_actor(learner)
+
+    def forward(self, observations: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        encoder = self.actor.features_extractor
+        assert isinstance(encoder, ObservationEncoder)
+        latent = self.actor.latent_pi(encoder.encode(observations))
+        log_std: Any = self.actor.log_std  # a layer, without state-dependent exploration
+        return self.actor.mu(latent), log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)
+
+
+class _SACPolicy:
+    """Has no choices: they are PPO's alone."""
+
+    def __init__(self, learner: SACLearner) -> None:
+        self._actor, self._observations = _sacs_actor(learner), learner.observations
+
+    def best(self, observations: Sequence[Singles], allowed: Allowed) -> tuple[Singles, Choices]:
+        scaled = tensors(self._observations.scaled(observations))
+        named = {f"obs_{place}": each for place, each in enumerate(scaled)}
+        with torch.no_grad():
+            actions: Singles = self._actor(named, deterministic=True).numpy()
+        return actions, np.zeros((len(actions), 0), np.int64)
+
+    def log_probs(self, observations: Sequence[Singles], allowed: Allowed, choices: Choices) -> Singles:
+        raise NotImplementedError

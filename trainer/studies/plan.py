@@ -4,8 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trainer.config import Algorithm, Intrinsic, PPOConfig, PresetName, RunConfig
+from trainer.config import PresetName, RunConfig
 from trainer.corridor import LEARNER_COLOUR
+from trainer.hyperparameters import Algorithm, Intrinsic, PPOConfig
 from trainer.presets import preset_run
 
 
