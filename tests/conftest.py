@@ -45,6 +45,7 @@ CHROMIUM_FLAGS = [
     "--enable-unsafe-swiftshader",
 ]
 DESKTOP = {"width": 1280, "height": 860}
+in_each_browser = pytest.mark.parametrize("browser", ["chromium", "firefox"], indirect=True)
 Open = Callable[..., Any]
 # mlagents-envs 1.1.0's own pins. It says Python <= 3.10.12 and runs on later 3.10 ones, so it is installed by itself.
 PINS = ("cloudpickle", "grpcio<=1.48.2", "Pillow", "protobuf<3.21", "pyyaml", "gym>=0.21", "pettingzoo==1.15.0")
@@ -194,14 +195,21 @@ def page_server(tmp_path: Path) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")  # its event loop must not be there for other modules
-def browser() -> Iterator[Any]:
-    """Headless Chromium, with WebGL in software."""
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
-    from playwright.sync_api import sync_playwright
+def browser(request: pytest.FixtureRequest) -> Iterator[Any]:
+    """Headless Chromium, with WebGL in software; or Firefox, where a test is marked ``in_each_browser``."""
+    from playwright.sync_api import Error, sync_playwright
 
+    name = getattr(request, "param", "chromium")
+    if name == "chromium" and CHROMIUM is None:
+        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
+        if name == "chromium":
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
+        else:
+            try:
+                browser = playwright.firefox.launch()
+            except Error as error:
+                pytest.skip(f"Playwright has no Firefox that starts here ({str(error).splitlines()[0][-120:]})")
         yield browser
         browser.close()
 

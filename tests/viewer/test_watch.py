@@ -10,6 +10,7 @@ import subprocess
 import threading
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +20,11 @@ from recorded_run import GOLDEN, recorded_run
 from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.runs.trajectories import load_trajectories
 from trainer.viewer.document import PAGE
+from trainer.viewer.live import LiveEvaluations
 from trainer.viewer.page_server import BODY_LIMIT, CONNECTIONS, Drives, PageServer
-from trainer.viewer.watched_runs import QUIET_SECONDS
+from trainer.viewer.watched_runs import LISTED, QUIET_SECONDS, WatchedRuns
+
+NOTHING = {"runs": [], "curves": {}, "settings": {}, "unlisted": 0}
 
 
 def ask(page_server: PageServer, path: str, body: object = None, **headers: str | None) -> tuple[int, dict]:
@@ -157,7 +161,7 @@ def test_forgotten_drives_are_bounded():
 
 
 def test_a_run_is_shown_from_its_first_file_to_its_deletion(page_server, tmp_path):
-    assert ask(page_server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+    assert ask(page_server, "/api/runs?run=fast")[1] == NOTHING
     run = recorded_run(tmp_path / "results", evaluated=False)
     run.progress.unlink()
     assert runs(page_server)["fast"]["status"] == "starting"
@@ -191,10 +195,56 @@ def test_a_run_is_shown_from_its_first_file_to_its_deletion(page_server, tmp_pat
     assert runs(page_server)["fast"]["scene"] != stamp  # evaluated again: the page asks for the new one
 
     shutil.rmtree(run.path)
-    assert ask(page_server, "/api/runs?run=fast")[1] == {"runs": [], "curves": {}}
+    assert ask(page_server, "/api/runs?run=fast")[1] == NOTHING
     assert ask(page_server, "/api/scene?run=fast")[0] == 400
     recorded_run(tmp_path / "results")  # and again, as --force does it
     assert len(ask(page_server, "/api/scene?run=fast")[1]["scene"]["episodes"]) == 12
+
+
+def test_runs_in_studies_are_found_and_drafts_are_not(page_server, tmp_path):
+    results = tmp_path / "results"
+    study = recorded_run(results / "penalty", "c0-seed4").path.parent
+    recorded_run(results, "mine")
+    recorded_run(results / "mine", "inside")  # a run's own folders are not looked into
+    shutil.copytree(study / "c0-seed4", study / "c0-seed4~draft")
+    shutil.copytree(study, results / "penalty~draft")
+    answer = ask(page_server, "/api/runs?run=penalty/c0-seed4")[1]
+    assert sorted(run["name"] for run in answer["runs"]) == ["mine", "penalty/c0-seed4"]
+    assert list(answer["curves"]) == ["penalty/c0-seed4"]
+    assert len(ask(page_server, "/api/scene?run=penalty/c0-seed4")[1]["scene"]["episodes"]) == 12
+
+
+def test_settings_and_evaluation_of_a_run(page_server, tmp_path):
+    run = recorded_run(tmp_path / "results")
+    evaluation = {"episodes": 12, "success_rate": 0, "wall_contact_rate": 0.25, "mean_return": "broken"}
+    run.write_summary({"env_steps": 1474560, "evaluation": evaluation})
+    answer = ask(page_server, "/api/runs?run=fast")[1]
+    settings = answer["settings"]["fast"]
+    assert (settings["curiosity.c"], settings["ppo.anneal"], settings["env_args"]) == ("0.3", "yes", "none")
+    assert "run_id" not in settings
+    found = answer["runs"][0]["evaluation"]
+    assert (found["success_rate"], found["wall_contact_rate"], found["env_steps"]) == (0, 0.25, 1474560)
+    assert found["mean_return"] is found["mean_success_length"] is None
+    news = answer["runs"][0]["news"]
+    assert runs(page_server)["fast"]["news"] == news  # the page need not ask for curves again
+    run.progress.write_text(run.progress.read_text()[:-1])
+    assert runs(page_server)["fast"]["news"] != news
+
+
+def test_a_look_at_many_runs_that_do_not_change_reads_no_file_and_is_under_1_percent_of_a_core(tmp_path, monkeypatch):
+    first = recorded_run(tmp_path / "study", "run0")
+    for number in range(1, LISTED + 5):
+        shutil.copytree(first.path, first.path.with_name(f"run{number}"))
+    watched = WatchedRuns(tmp_path, LiveEvaluations())
+    before = watched.overview(["run0"])
+    assert (len(before["runs"]), before["unlisted"]) == (LISTED, 5)
+    monkeypatch.setattr(Path, "open", None)
+    costs = []
+    for _ in range(20):
+        began = time.thread_time()
+        assert watched.overview(["run0"]) == before
+        costs.append(time.thread_time() - began)
+    assert min(costs) < 0.01 * 2.0  # of the two seconds until the next look
 
 
 def test_broken_files_are_said_to_be_broken_and_the_rest_is_shown(page_server, tmp_path):

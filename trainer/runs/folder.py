@@ -256,7 +256,7 @@ class RunFolder:
 
 def _differences(one: RunConfig, other: RunConfig) -> dict[str, tuple[Any, Any]]:
     """Settings that differ, and what each has."""
-    before, now = _flat(one.as_dict()), _flat(other.as_dict())
+    before, now = flat_settings(one.as_dict()), flat_settings(other.as_dict())
     names = (before.keys() | now.keys()) - set(DERIVED)
     if not (one.unlisted_settings and other.unlisted_settings):  # of before, or a corridor's
         names = {name for name in names if not name.startswith("unlisted_settings")}
@@ -282,10 +282,11 @@ def is_study(folder: Path) -> bool:
     return os.path.isfile(folder / CLAIMS)
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat_settings(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Settings in sections under one name each, such as ``ppo.gamma``."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+        flat |= flat_settings(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat
 
 

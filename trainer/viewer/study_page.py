@@ -3,8 +3,10 @@
 import base64
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from corridor_server.shared.given import Range, read_json, shown
 from trainer.activity import doing
@@ -19,7 +21,40 @@ from trainer.viewer.corridor_scene import run_scene
 from trainer.viewer.document import page
 
 SEED, SEEDS = Range(0, 2**31 - 1), Range(1, 10_000)
+FINITE = Range()
 CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
+REPORT = "report.html"
+# Of an arm in claims.json: what the results table shows if an arm has it.
+MEASURES = (
+    "success_rate",
+    "mean_return",
+    "mean_episode_length",
+    "mean_success_length",
+    "opponent_contact_rate",
+    "wall_contact_rate",
+    "steps_to_50_success",
+    "steps_to_90_success",
+)
+LINES = "Thick: interquartile mean over seeds; band: its 95% bootstrap interval; thin: single runs."
+FIGURE_5 = "Blue: c = 0.3; red: c = 0.1; green: c = 0.5; purple: base PPO. " + LINES
+FIGURE_6 = "Blue: c = 0.3 with the penalty; red: without it; green: base PPO without it. " + LINES
+DOSE = "Lines: interquartile means over seeds with 95% bootstrap intervals; dots: single runs."
+# What the paper's figures show, in our words, and how to read ours.
+CAPTIONS = {
+    "figure5a": "The paper's Fig. 5a has the external reward during training for four curiosity ratios. There, base "
+    "PPO never completes the task, c = 0.3 and c = 0.1 do about equally well, and with c = 0.5 curiosity overwhelms "
+    "the external reward. Here, the same quantity of our runs. " + FIGURE_5,
+    "figure5b": "The paper's Fig. 5b has the steps in an episode of the same trainings. There, the agent with c = 0.3 "
+    "completes the task in slightly fewer steps than with c = 0.1, and the one with c = 0.5 ends its episodes early, "
+    "for the new observations that follow a reset. Here, the same quantity of our runs. " + FIGURE_5,
+    "figure6a": "The paper's Fig. 6a has the external reward during training with and without the penalty of 1 for a "
+    "failed episode, beside base PPO without curiosity or penalty. There, the agent with the penalty begins lower, and "
+    "finds the better solution; base PPO finds none. Here, the same quantity of our runs. " + FIGURE_6,
+    "figure6b": "The paper's Fig. 6b has the steps in an episode of the same trainings. There, the agent with the "
+    "penalty ends with shorter episodes than the one without. Here, the same quantity of our runs. " + FIGURE_6,
+    "dose-c": "Success and episode length of the evaluation against the curiosity ratio. " + DOSE,
+    "dose-gamma": "Success and episode length of the evaluation against the discount factor. " + DOSE,
+}
 
 
 def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
@@ -38,6 +73,7 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
         record = read_json((folder / CLAIMS).read_bytes())
         arms = record["arms"]
         claims = [{key: claim[key] for key in CLAIM_KEYS} for claim in record["claims"]]
+        results = [_result(arm) for arm in arms]
         first, count = SEED.read(record["first_seed"], whole=True), SEEDS.read(record["seeds"], whole=True)
         if first is None or count is None:
             raise ValueError("its seeds are no numbers of a study")
@@ -56,18 +92,16 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
         raise TrainerError(f"{folder} can't be used ({error}); check its permissions.") from error
     without = [run["run_id"] for group in groups for run in group["runs"] if run["replay"] is None]
     notes = [f"There is no evaluation of {', '.join(without)}, so no replay."] if without else []
-    figures = [{"title": _title(path), "source": _inline(path)} for path in sorted(folder.glob("*.png"))]
     study = {
         "title": record.get("study", folder.name),
         "facts": facts,
-        "claims": [
-            {key: claim[key] for key in ("id", "statement", "measure", "holds", "evidence")} for claim in claims
-        ],
-        "figures": figures,
+        "claims": claims,
+        "results": results,
+        "figures": [_figure(path) for path in sorted(folder.glob("*.png"))],
         "groups": groups,
         "notes": notes,
     }
-    report = folder / "report.html"
+    report = folder / REPORT
     with written(folder):
         write_whole(report, page({"mode": "study", "study": study}))
     for note in notes:
@@ -77,30 +111,41 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
 
 
 def _run(study: Path, run_id: str, episodes: int) -> dict[str, Any]:
-    """A run's line in the report; its replay is written here."""
+    """A run's row in the report; its replay is written here. The link to it has the way back in it."""
     if not is_name(run_id):
         raise ValueError(f"{shown(run_id)} is no run id")
     places = [study / run_id, *sorted(study.parent.glob(f"*/{run_id}"))]
     folder = next((RunFolder(path) for path in places if (path / "configuration.yaml").is_file()), None)
     if folder is None or not folder.trajectories.is_file():
-        return {"run_id": run_id, "facts": "", "replay": None}
+        return {"run_id": run_id, "evaluation": None, "replay": None}
     scene = run_scene(folder.read_config(), load_trajectories(folder.trajectories), episodes)
     replay = folder.path / "replay.html"
     with only_writer(folder.path):
         write_whole(replay, page({"mode": "replay", "scene": scene}))
     evaluation = read_json(folder.summary.read_bytes())["evaluation"]
-    success = evaluation["success_rate"]
-    facts = [
-        "success unknown" if success is None else f"success {100 * success:.0f}%",
-        f"return {evaluation['mean_return']:.2f}",
-        f"{evaluation['mean_episode_length']:.0f} decisions per episode",
-    ]
-    return {"run_id": run_id, "facts": ", ".join(facts), "replay": Path(os.path.relpath(replay, study)).as_posix()}
+    back = quote(_path(study / REPORT, folder.path), safe="")
+    return {
+        "run_id": run_id,
+        "evaluation": {name: FINITE.read(evaluation.get(name)) for name in MEASURES[:6]},
+        "replay": f"{quote(_path(replay, study))}?from={back}",
+    }
 
 
-def _title(path: Path) -> str:
-    return re.sub(r"^figure(\w+)$", r"Fig. \1", path.stem).replace("-", " ")
+def _path(file: Path, folder: Path) -> str:
+    return Path(os.path.relpath(file, folder)).as_posix()
 
 
-def _inline(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+def _result(arm: Mapping[str, Any]) -> dict[str, Any]:
+    """An arm's row of the results table: its label, how many runs, and [value, low, high] or null of each measure."""
+    measures: dict[str, list[float | None] | None] = {}
+    for name in MEASURES:
+        if name in arm:
+            found = arm[name]
+            measures[name] = None if found is None else [FINITE.read(found[key]) for key in ("value", "low", "high")]
+    return {"label": arm["label"], "runs": FINITE.read(arm.get("runs")), "measures": measures}
+
+
+def _figure(path: Path) -> dict[str, str]:
+    title = re.sub(r"^figure(\w+)$", r"Fig. \1", path.stem).replace("-", " ")
+    source = f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+    return {"title": title, "caption": CAPTIONS.get(path.stem, LINES), "source": source}

@@ -1,6 +1,7 @@
-// Charts over time or agent steps, drawn by uPlot.
+// An episode's charts over time, drawn by uPlot.
 
 import uPlot from "uplot";
+import { tickLabels } from "./axes";
 import { make } from "./data";
 import { Theme } from "./theme";
 
@@ -59,7 +60,7 @@ export class Chart {
         cursor: { drag: { x: false, y: false }, points: { show: !options.onSeek }, y: false, x: true },
         axes: [
           { ...axis, size: 24, gap: 6, values: (_, ticks) => ticks.map(options.x) },
-          { ...axis, size: 44, gap: 4, values: (_, ticks) => ticks.map((tick) => format(tick)), space: 26 },
+          { ...axis, size: 44, gap: 4, values: (_, ticks) => tickLabels(ticks), space: 26 },
         ],
         series: [
           {},
@@ -136,10 +137,4 @@ export function key(text: string, colour: string, dash: number[] = []): HTMLElem
   mark.style.borderTopStyle = dash.length ? "dashed" : "solid";
   span.append(mark, text);
   return span;
-}
-
-function format(value: number): string {
-  if (Math.abs(value) >= 1000) return `${+(value / 1000).toPrecision(3)}k`;
-  if (value !== 0 && Math.abs(value) < 0.001) return value.toExponential(0).replace("-", "−");
-  return `${+value.toPrecision(3)}`.replace("-", "−");
 }

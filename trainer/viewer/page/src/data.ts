@@ -55,12 +55,19 @@ export interface Claim {
   evidence: string;
 }
 
+export interface Result {
+  label: string;
+  runs: number | null;
+  measures: Record<string, [number, number, number] | null>; // value, and its interval's ends
+}
+
 export interface Study {
   title: string;
   facts: string[];
-  figures: { title: string; source: string }[];
+  figures: { title: string; caption: string; source: string }[];
   claims: Claim[];
-  groups: { name: string; runs: { run_id: string; facts: string; replay: string | null }[] }[];
+  results: Result[];
+  groups: { name: string; runs: { run_id: string; evaluation: Record<string, number | null> | null; replay: string | null }[] }[];
   notes: string[];
 }
 

@@ -5,10 +5,10 @@ import "./page.css";
 import { PageData, Scene, element, make } from "./data";
 import { Drive } from "./drive";
 import { EpisodeList } from "./episodes";
-import { Curves, Learning, RunState } from "./learning";
+import { Learning, Overview, RunState } from "./learning";
 import { Server } from "./server";
 import { Stage } from "./stage";
-import { showStudy } from "./study";
+import { showStudy, wayBack } from "./study";
 
 const POLL_MILLISECONDS = 2000;
 type Tab = "learning" | "episodes" | "drive";
@@ -53,6 +53,7 @@ function start(data: PageData): void {
     element("title").textContent = "Replay";
     document.title = `${data.scene.run.run_id} · corridor replay`;
     element("subtitle").textContent = describe(data.scene);
+    element("subtitle").after(...[wayBack()].filter((link) => link !== null));
     say(...data.scene.notes);
     element("episodes").hidden = false;
     onKeys(keys);
@@ -88,7 +89,6 @@ function watch(data: { token: string; results: string }, stage: Stage, list: Epi
   const learning = new Learning();
   const drive = new Drive(stage, server, say);
   const known = new Map<string, RunState>();
-  const curves = new Map<string, Curves>();
   const choice = element<HTMLSelectElement>("episode-run");
   let tab: Tab = "learning";
   let sceneShown = "";
@@ -111,7 +111,7 @@ function watch(data: { token: string; results: string }, stage: Stage, list: Epi
     element(next === "drive" ? "drive-home" : "stage-home").append(element("stage"));
     if (next === "drive") void drive.enter();
     if (next === "episodes" && scene) void list.setScene(scene);
-    if (next === "learning") learning.update([...known.values()], curves);
+    if (next === "learning") learning.draw();
     say();
     void poll();
   };
@@ -150,25 +150,22 @@ function watch(data: { token: string; results: string }, stage: Stage, list: Epi
     if (polling) return;
     polling = true;
     try {
-      const asked = [...learning.chosen].map((name) => `run=${encodeURIComponent(name)}`).join("&");
-      const answer: { runs: RunState[]; curves: Record<string, Curves> } = await server.get(`api/runs?${asked}`);
+      const asked = learning.wanted.map((name) => `run=${encodeURIComponent(name)}`).join("&");
+      const answer: Overview = await server.get(`api/runs?${asked}`);
       const first = known.size === 0;
       const present = new Set(answer.runs.map((run) => run.name));
       for (const run of answer.runs) known.set(run.name, run);
       for (const [name, run] of known)
         if (!present.has(name)) known.set(name, { ...run, status: "gone", problem: "Its folder is gone; shown is what was read before." });
-      for (const [name, curve] of Object.entries(answer.curves)) curves.set(name, curve);
-      if (first && answer.runs.length) {
-        learning.chosen.add(answer.runs[0].name);
-        setTimeout(poll); // for its curves
-      }
+      if (first && answer.runs.length) learning.chosen.add(answer.runs[0].name);
       const names = [...known.keys()];
       if (names.join("/") !== [...choice.options].map((option) => option.value).join("/")) {
         const before = choice.value;
         choice.replaceChildren(...names.map((name) => make("option", name, { value: name })));
         choice.value = names.includes(before) ? before : names[0];
       }
-      learning.update([...known.values()], curves);
+      learning.update([...known.values()], answer);
+      if (learning.wanted.length) setTimeout(poll); // for their curves
       if (tab === "episodes") say(await showScene());
       else if (tab === "learning") say(names.length ? "" : "There is no run yet; start one with 'corridor train --run-id ID'. Or play it yourself.");
     } catch (error) {

@@ -17,15 +17,3 @@ export function theme(): Theme {
 export function onThemeChange(callback: () => void): void {
   dark.addEventListener("change", callback);
 }
-
-// For runs laid over each other: Paul Tol's colour-blind safe "bright" scheme, without what is near orange and purple.
-const RUNS = ["#4477aa", "#228833", "#ee6677", "#66ccee", "#ccbb44", "#999999"];
-const DASHES = [[], [7, 4], [2, 3]];
-
-export function runColour(index: number): string {
-  return RUNS[index % RUNS.length];
-}
-
-export function runDash(index: number): number[] {
-  return DASHES[Math.floor(index / RUNS.length) % DASHES.length];
-}
