@@ -228,7 +228,6 @@ def test_every_row_is_there_as_soon_as_it_is_measured(monkeypatch, tmp_path, fre
     assert "can't be installed: ERROR: none" in printed
 
 
-@pytest.mark.slow
 def test_ours_that_cant_be_measured_ends_it(monkeypatch, free_port):
     wrong = Peer("ours", "no_program", "torch")
     with pytest.raises(TrainerError, match="ours ended before it measured anything: .*no_program"):
