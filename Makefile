@@ -10,9 +10,11 @@ PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 install: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml constraints.txt
+	@echo 'Installing the player, the trainer and what tests them into $(VENV): about 120 packages, 3 GB, 4 to 5 minutes.'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	touch $@
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+	@echo 'Installed. By hand: source $(VENV)/bin/activate, then corridor --help.'
 
 train: $(INSTALLED)  ## train the paper's agent; e.g. make train RUN=mine ARGS='--seed 1 --c 0'
 	$(BIN)/corridor train --run-id $(RUN) $(ARGS)

@@ -14,11 +14,15 @@ from types import ModuleType
 def _register() -> None:
     from gymnasium.envs.registration import register
 
-    register(id="Corridor-v0", entry_point="corridor_server.corridor.gym_env:CorridorEnv")
+    from corridor_server.corridor.curious_corridor import as_a_player_has_it
+
+    entry_point = "corridor_server.corridor.gym_env:CorridorEnv"
+    register(id="Corridor-v0", entry_point=entry_point)
+    register(id="CuriousCorridor-v0", entry_point=entry_point, kwargs=as_a_player_has_it())
 
 
 class _RegisterWithGymnasium:
-    """Registers ``Corridor-v0`` once somebody imports Gymnasium, which takes long and is not needed by all."""
+    """Registers both corridors once somebody imports Gymnasium, which takes long and is not needed by all."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """Gymnasium's own, whose end is awaited; None of all else."""

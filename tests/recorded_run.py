@@ -7,7 +7,8 @@ import dataclasses
 import shutil
 from pathlib import Path
 
-from trainer.commands.train import Train
+from asked import asked
+
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.runs.folder import RunFolder
 from trainer.runs.run import train_run
@@ -17,7 +18,7 @@ GOLDEN = Path(__file__).parent / "golden"
 
 def settings(run_id: str = "fast", env: str = "builtin") -> RunConfig:
     """The recorded run's: the player's default corridor, without the preset's changes."""
-    return dataclasses.replace(Train(run_id=run_id, env=env).run_config(), environment_parameters={})
+    return dataclasses.replace(asked(run_id, env=env).run_config(), environment_parameters={})
 
 
 def begun_run(config: RunConfig, results: Path) -> RunFolder:

@@ -1,6 +1,5 @@
 """The commands of ``corridor``, and what becomes of what is typed."""
 
-import dataclasses
 import operator
 import shlex
 import sys
@@ -11,10 +10,12 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import subcommand
 
-from trainer.errors import TrainerError
+from trainer.commands.typed_values import TYPED
+from trainer.errors import SettingError, TrainerError
 from trainer.signals import INTERRUPTED
 
 ENV_ARGS = "--env-args"
+COMMAND_MODULES = "trainer.commands"
 MARKERS = (tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff, tyro.conf.OmitArgPrefixes)
 # Each in the module of its name.
 COMMANDS = {
@@ -36,11 +37,9 @@ def run_command(arguments: list[str]) -> int:
         at = arguments.index(ENV_ARGS)
         arguments, env_args = arguments[:at], arguments[at + 1 :]
     try:
-        command = _parse(arguments)
-        if arguments[0] == "train" and (over := command.over_its_file()) is not None:
-            command = _parse(arguments, default=over)
-        if given and hasattr(command, "env_args"):
-            command = dataclasses.replace(command, env_args=tuple(env_args))
+        command = parse(arguments)
+        if given and hasattr(command, "with_env_args"):
+            command = command.with_env_args(tuple(env_args))
         elif given:
             raise TrainerError(
                 f"{ENV_ARGS} is for corridor train and check, and a run keeps what it was trained with; leave it out, "
@@ -65,14 +64,31 @@ def _fail(text: str) -> int:
     return 1
 
 
-def _parse(arguments: list[str], **options: Any) -> Any:
-    """The command that is typed. Only its own module is read if it is one: each takes a while."""
-    name = arguments[0] if arguments else ""
-    if name in COMMANDS:
-        return tyro.cli(_kind(name), prog=f"corridor {name}", args=arguments[1:], config=MARKERS, **options)
-    every: Any = reduce(operator.or_, (Annotated[_kind(each), subcommand(each)] for each in COMMANDS))
-    return tyro.cli(every, prog="corridor", args=arguments, config=MARKERS)
+def parse(arguments: list[str]) -> Any:
+    """The command that is typed, with its file's values where it has a file. Only its own module is read.
+
+    Raises:
+        TrainerError: An option is out of its range, options contradict each other, or the file can't be used.
+        SystemExit: An option or a command is misspelt, or help was asked for; that has been printed.
+    """
+    name, rest = arguments[0] if arguments else "", arguments[1:]
+    if name not in COMMANDS:
+        every: Any = reduce(operator.or_, (Annotated[_kind(each), subcommand(each)] for each in COMMANDS))
+        return _read(every, "corridor", arguments)
+    kind, typed = _kind(name), f"corridor {name}"
+    if name == "study" and rest and rest[0] in (studies := import_module(f"{COMMAND_MODULES}.study").STUDIES):
+        kind, typed, rest = studies[rest[0]], f"{typed} {rest[0]}", rest[1:]
+    try:
+        command = _read(kind, typed, rest)
+        over = command.over_its_file() if name == "train" else None
+        return command if over is None else _read(kind, typed, rest, default=over)
+    except SettingError as error:
+        raise TrainerError(f"{str(error).removesuffix('.')}; see {typed} --help.") from error
+
+
+def _read(kind: Any, typed: str, arguments: list[str], **options: Any) -> Any:
+    return tyro.cli(kind, prog=typed, args=arguments, config=MARKERS, registry=TYPED, **options)
 
 
 def _kind(name: str) -> Any:
-    return getattr(import_module(f"trainer.commands.{name}"), COMMANDS[name])
+    return getattr(import_module(f"{COMMAND_MODULES}.{name}"), COMMANDS[name])

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from corridor_server.shared.addresses import LOOPBACK, parse_host
@@ -27,6 +28,7 @@ from trainer.options import (
 )
 
 PAPER_STEPS = 1_500_000
+RESULTS = Path("results")  # where runs are kept unless told otherwise
 BASE_PORT = 5005  # mlagents-learn's
 EDITOR_TIME_SCALE = 100  # the most that the Unity editor takes
 PresetName = Literal["fast", "paper"]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from corridor_server.corridor import colours
 from corridor_server.corridor import observation as layout
 from corridor_server.corridor.corridor_config import CorridorConfig
+from corridor_server.corridor.curious_corridor import as_environment_parameters
 from corridor_server.protocol.samplers import Value
 from corridor_server.shared.given import MAX_AREAS
 from trainer.errors import TrainerError
@@ -31,16 +32,7 @@ PENALTY = "failure_penalty"
 DEFAULT_PENALTY = 1.0
 # The corridor that presets ask a player for, on which curiosity decides between failure and success
 # (docs/calibration.md).
-CORRIDOR: dict[str, float] = {
-    "agent_speed": 3.0,
-    "agent_time_constant": 0.2,
-    "agent_spawn_x_min": -7.5,
-    "agent_spawn_x_max": -5.5,
-    "goal_x": 5.0,
-    "goal_radius": 2.0,
-    "opponent_speed": 1.5,
-    "opponent_target_x": 1.0,
-}
+CORRIDOR = as_environment_parameters()
 # Who has which colour on a figure.
 LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR = map(
     colours.hexadecimal, (colours.LEARNER, colours.OPPONENT, colours.SWITCH_ON, colours.WALL)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asked import asked
 from conftest import BIN
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
@@ -84,8 +85,8 @@ def test_a_recorded_setting_is_held_to_its_type_and_range(name, value):
 
 def test_more_areas_than_our_player_has_are_refused_by_the_trainer():
     with pytest.raises(TrainerError, match="--num-areas is 70000, but the built-in player has at most 65536"):
-        Train("r", num_areas=70_000).run_config()
-    Train("r", num_areas=70_000, env="Other.x86_64").run_config()
+        asked("r", num_areas=70_000).run_config()
+    asked("r", num_areas=70_000, env="Other.x86_64").run_config()
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,9 @@ def test_commands_share_the_connections_options_under_their_own_names(command, m
 def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, capsys):
     assert main([*command, "--timeout-wait", "0"]) == 1
     said = capsys.readouterr().err.strip()
-    assert said == "error: --timeout-wait is 0, but a whole number from 1 up was expected."
+    name = " ".join(command[: 1 + (command[0] == "study")])
+    expected = "a whole number from 1 up was expected"
+    assert said == f"error: --timeout-wait is 0, but {expected}; see corridor {name} --help."
 
 
 @pytest.mark.parametrize(

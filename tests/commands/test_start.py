@@ -128,5 +128,6 @@ def test_a_command_reads_no_other_commands_module(started):
     ((_, _, imported),) = started([["watch", "--help"]])
     assert {name for name in imported if name.startswith("trainer.commands.")} == {
         "trainer.commands.shared_options",
+        "trainer.commands.typed_values",
         "trainer.commands.watch",
     }

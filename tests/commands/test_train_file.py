@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from asked import asked
 from conftest import corridor_here
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -13,7 +14,6 @@ from yaml_files import HALLWAY, PYRAMIDS, RECORDED, WALL_JUMP
 
 from corridor_server.protocol.side_channels import read_environment_parameter
 from trainer.behavior_settings import BehaviorSettings
-from trainer.commands.shared_options import TrainingOptions
 from trainer.commands.train import Train
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
@@ -214,7 +214,7 @@ def test_a_lesson_that_waits_for_a_behavior_that_is_not_there(typed):
 def test_what_only_runs_in_lockstep_have_is_refused_beside_a_files_behaviors(tmp_path, option):
     (tmp_path / "it.yaml").write_text(PYRAMIDS)
     with pytest.raises(TrainerError, match="^--(algo trpo|from-sb3 model.zip) has no effect on behaviors that a file"):
-        Train("r", tmp_path / "it.yaml", **option).run_config()
+        asked("r", tmp_path / "it.yaml", **option).run_config()
 
 
 @pytest.mark.parametrize(
@@ -261,5 +261,5 @@ def test_a_resumed_run_may_have_another_length_and_device_but_not_other_hyperpar
 
 
 def test_a_run_without_a_file_has_no_behaviors():
-    run = Train("r", training=TrainingOptions(steps=5)).run_config()
+    run = asked("r", steps=5).run_config()
     assert (run.behaviors, run.default_settings, run.settings_for("Corridor")) == ({}, None, BehaviorSettings())

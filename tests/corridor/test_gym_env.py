@@ -12,6 +12,7 @@ from stable_baselines3.common.env_checker import check_env as check_sb3_env
 
 from corridor_server.corridor.gym_env import CorridorEnv
 from corridor_server.corridor.streams import area_generator
+from trainer.corridor import CORRIDOR, DEFAULT_PENALTY, corridor_of
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m:UserWarning")  # minus and plus infinity
@@ -38,6 +39,13 @@ def test_it_is_made_by_its_name_whatever_is_imported_first(imports):
     program = f"import {imports}; print(gymnasium.make('corridor_server:Corridor-v0').spec.id)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert (done.stdout, done.stderr) == ("Corridor-v0\n", "")
+
+
+def test_the_presets_corridor_has_a_name_too_with_the_numbers_that_a_run_has_after_the_wire():
+    env = gymnasium.make("corridor_server:CuriousCorridor-v0", goal_radius=1.0)
+    assert env.unwrapped.config == corridor_of(DEFAULT_PENALTY, CORRIDOR | {"goal_radius": 1.0})
+    assert env.unwrapped.config.agent_spawn_x == (-7.5, -5.5)
+    assert env.unwrapped.config.agent_time_constant == float(np.float32(0.2))
 
 
 def test_importing_the_player_does_not_import_gymnasium_which_takes_long():

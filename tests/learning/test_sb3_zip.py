@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from asked import asked
 from recorded_run import trained_run
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from corridor_server.corridor.gym_env import CorridorEnv
-from trainer.commands.shared_options import TrainingOptions
-from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.sb3_zip import load_sb3_policy
 from trainer.learning.stages import build_stages
@@ -30,7 +29,7 @@ def saved(path: Path, size: int = 64, **changes: torch.Tensor) -> PPO:
 
 
 def ours():
-    return build_stages(Train("any", c=0.0, num_areas=2).run_config(), make_vec_env(CorridorEnv, 2)).model
+    return build_stages(asked("any", c=0.0, num_areas=2).run_config(), make_vec_env(CorridorEnv, 2)).model
 
 
 def test_the_policy_acts_as_the_one_that_was_saved(tmp_path):
@@ -44,8 +43,8 @@ def test_the_policy_acts_as_the_one_that_was_saved(tmp_path):
 
 def test_a_run_begins_with_it_and_says_what_it_does_not_take(tmp_path, free_port, capsys):
     saved(tmp_path / "model.zip", log_std=torch.full((2,), -5.0))
-    one_step = TrainingOptions(steps=1)
-    config = Train("r", num_areas=2, training=one_step, from_sb3=tmp_path / "model.zip").run_config()
+    one_step = 1
+    config = asked("r", num_areas=2, steps=one_step, from_sb3=tmp_path / "model.zip").run_config()
     folder = trained_run(config, tmp_path, free_port)
     assert "only the policy's weights are used" in " ".join(capsys.readouterr().out.split())
     assert folder.read_config() == config

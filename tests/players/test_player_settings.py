@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from asked import asked
 
 from corridor_server.protocol.samplers import Gaussian, MultiRangeUniform, Uniform
 from corridor_server.protocol.side_channels import read_engine_setting, read_environment_parameter
@@ -28,7 +29,7 @@ environment_parameters:
 def config(tmp_path, text, **options):
     path = tmp_path / "settings.yaml"
     path.write_text(text)
-    return Train("r", config=path, **options).run_config()
+    return asked("r", config=path, **options).run_config()
 
 
 def sent(run, seed=7):
@@ -136,7 +137,7 @@ def test_a_file_that_does_not_exist(tmp_path):
 @pytest.mark.parametrize("text", ["goal_x", "goal_x=", "=5", "goal_x=far"])
 def test_an_environment_parameter_of_another_form(text):
     with pytest.raises(TrainerError, match="is not of the form NAME=NUMBER"):
-        Train("r", env_param=(text,)).run_config()
+        asked("r", env_param=(text,)).run_config()
 
 
 def test_another_build_may_have_any_parameter(tmp_path):
@@ -145,7 +146,7 @@ def test_another_build_may_have_any_parameter(tmp_path):
 
 
 def test_the_presets_corridor_is_for_our_player_alone_until_another_is_known_to_be_one():
-    run = Train("r", env="Other.x86_64", env_param=("gravity=-9", "goal_x=5"), penalty=0.5).run_config()
+    run = asked("r", env="Other.x86_64", env_param=("gravity=-9", "goal_x=5"), penalty=0.5).run_config()
     _, parameters = channels(run, 7)
     told = lambda: dict(read_environment_parameter(bytes(each)) for each in parameters.message_queue)  # noqa: E731
     assert told() == {"gravity": -9.0, "goal_x": 5.0}, "what was given, though goal_x is the preset's too"
@@ -156,10 +157,10 @@ def test_the_presets_corridor_is_for_our_player_alone_until_another_is_known_to_
 
 
 def test_the_editor_takes_a_lower_time_scale_than_a_build():
-    Train("r", env="Other.x86_64", engine={"time_scale": 200.0}).run_config()
-    Train("r", env="editor", engine={"time_scale": 100.0}).run_config()
+    asked("r", env="Other.x86_64", engine={"time_scale": 200.0}).run_config()
+    asked("r", env="editor", engine={"time_scale": 100.0}).run_config()
     with pytest.raises(TrainerError, match="--time-scale is 200, but the Unity editor takes at most 100; lower it, or"):
-        Train("r", env="editor", engine={"time_scale": 200.0}).run_config()
+        asked("r", env="editor", engine={"time_scale": 200.0}).run_config()
 
 
 def test_a_run_of_before_with_a_time_scale_below_1_is_read_as_unity_took_it():
@@ -170,18 +171,18 @@ def test_a_run_of_before_with_a_time_scale_below_1_is_read_as_unity_took_it():
 
 def test_a_build_renders_nothing_unless_it_shall():
     assert not Train("r").run_config().graphics
-    assert not Train("r", no_graphics=True).run_config().graphics
-    assert Train("r", graphics=True).run_config().graphics
+    assert not asked("r", no_graphics=True).run_config().graphics
+    assert asked("r", graphics=True).run_config().graphics
     with pytest.raises(TrainerError, match="--graphics and --no-graphics contradict each other"):
-        Train("r", graphics=True, no_graphics=True)
+        asked("r", graphics=True, no_graphics=True)
 
 
 def test_everything_after_env_args_is_the_players(monkeypatch):
     seen = []
     monkeypatch.setattr(Train, "run", lambda command, typed: seen.append(command) or 0)
     main(["train", "--run-id", "r", "--seed", "3", "--env-args", "--seed", "5", "-quality", "x=1"])
-    assert seen[0].seed == 3
-    assert seen[0].env_args == ("--seed", "5", "-quality", "x=1")
+    assert seen[0].training.seed == 3
+    assert seen[0].environment.env_args == ("--seed", "5", "-quality", "x=1")
 
 
 def test_an_engine_setting_typed_at_its_default_still_wins_over_the_file(tmp_path, monkeypatch):
@@ -193,14 +194,14 @@ def test_an_engine_setting_typed_at_its_default_still_wins_over_the_file(tmp_pat
 
 
 def test_given_parameters_replace_the_presets():
-    given = Train("r", env_param=("goal_x=7", "agent_spawn_x=-8")).run_config().environment_parameters
+    given = asked("r", env_param=("goal_x=7", "agent_spawn_x=-8")).run_config().environment_parameters
     kept = {name: value for name, value in CORRIDOR.items() if not name.startswith("agent_spawn_x_")}
     assert given == {**kept, "goal_x": 7.0, "agent_spawn_x": -8.0}
 
 
 def test_a_range_that_a_parameter_turns_round():
     with pytest.raises(TrainerError, match="agent_spawn_x would go from -3 to -5.5 .* give both agent_spawn_x_min and"):
-        Train("r", env_param=("agent_spawn_x_min=-3",)).run_config()
+        asked("r", env_param=("agent_spawn_x_min=-3",)).run_config()
     with pytest.raises(TrainerError, match="opponent_spawn_x would go from 7 to 6 "):
-        Train("r", env_param=("opponent_spawn_x_max=6",)).run_config()
-    Train("r", env_param=("agent_spawn_x_min=-3",), env="Other.x86_64").run_config()  # may mean something else there
+        asked("r", env_param=("opponent_spawn_x_max=6",)).run_config()
+    asked("r", env_param=("agent_spawn_x_min=-3",), env="Other.x86_64").run_config()  # may mean something else there

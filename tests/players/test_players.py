@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asked import asked
 from mlagents_envs.exception import UnityTimeOutException
 from recorded_slots import NO_LOGS, UNLIMITED, Recorded, failing, opened
 
-from trainer.commands.shared_options import TrainingOptions
 from trainer.commands.train import Train
 from trainer.config import ConnectionOptions, RestartLimits
 from trainer.errors import TrainerError
@@ -23,7 +23,7 @@ from trainer.seeds import player_seed
 
 
 def players_of(path: Path, port: int, count: int, areas: int = 4, limits: RestartLimits = UNLIMITED, wait: int = 30):
-    config = Train("r", num_envs=count, num_areas=areas).run_config()
+    config = asked("r", num_envs=count, num_areas=areas).run_config()
     connection = ConnectionOptions(base_port=port, timeout_wait=wait)
     return open_players(config, PlayerLogs(path), connection, seed=5, limits=limits)
 
@@ -167,7 +167,7 @@ def test_a_player_that_dies_in_a_reset_is_started_again(tmp_path, free_port):
 
 
 def test_the_gym_path_survives_too(tmp_path, free_port):
-    config = Train("r", training=TrainingOptions(preset="paper")).run_config()
+    config = asked("r", preset="paper").run_config()
     connection = ConnectionOptions(base_port=free_port, timeout_wait=30)
     with open_players(config, PlayerLogs(tmp_path), connection, seed=5, limits=UNLIMITED) as players:
         players.reset()

@@ -8,13 +8,13 @@ import onnx
 import pytest
 import torch
 import yaml
+from asked import asked
 from conftest import corridor_here, unused_port
 from exported import form, session
 from mlagents_envs.base_env import ActionSpec
 from scripted import spec
 from stable_baselines3 import SAC
 
-from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.stages import Stages, build_stages
 from trainer.runs.checkpoint import find_checkpoint
@@ -27,7 +27,7 @@ BATCH = 4096
 
 def stages_on(behavior, *, c: float = 0.0, mean: float = 0.0, variance: float = 1.0) -> Stages:
     """A policy with weights that matter, and statistics as after training."""
-    stages = build_stages(Train("any", c=c, num_areas=4).run_config(), _Nobody(4, behavior))
+    stages = build_stages(asked("any", c=c, num_areas=4).run_config(), _Nobody(4, behavior))
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
         for parameter in stages.model.policy.parameters():

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from asked import asked
 
 from trainer.main import main
 from trainer.runs.callbacks import StopOnSignal
@@ -89,18 +90,17 @@ def test_a_results_folder_that_becomes_read_only_ends_the_run_with_a_sentence(un
 def test_changed_settings_are_listed_with_what_is_allowed(tmp_path):
     from recorded_run import begun_run
 
-    from trainer.commands.shared_options import TrainingOptions
     from trainer.commands.train import Train
     from trainer.errors import TrainerError
     from trainer.runs.folder import RunFolder
 
     begun_run(Train("r").run_config(), tmp_path)
-    longer = TrainingOptions(steps=2_000_000)
-    changed = Train("r", c=0.5, training=longer).run_config()
+    longer = 2_000_000
+    changed = asked("r", c=0.5, steps=longer).run_config()
     with pytest.raises(TrainerError) as error, RunFolder.claim(changed, tmp_path, resume=True, force=False):
         pass
     assert "curiosity.c 0.3 -> 0.5 (not allowed), steps 1500000 -> 2000000 (allowed)" in str(error.value)
-    with RunFolder.claim(Train("r", training=longer).run_config(), tmp_path, resume=True, force=False):
+    with RunFolder.claim(asked("r", steps=longer).run_config(), tmp_path, resume=True, force=False):
         pass
 
 

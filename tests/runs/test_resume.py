@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asked import asked
 from recorded_run import trained_run
 from stable_baselines3.common.env_util import make_vec_env
 
-from trainer.commands.shared_options import TrainingOptions
-from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.lean_ppo import LeanPPO
 from trainer.learning.stages import build_stages
@@ -38,7 +37,7 @@ def test_weights_or_losses_that_go_bad_stop_the_run_and_the_update_before_is_kep
             harm(model)
 
     monkeypatch.setattr(LeanPPO, "train", third_time_unlucky)
-    config = Train("r", num_areas=8, training=TrainingOptions(steps=4_000)).run_config()
+    config = asked("r", num_areas=8, steps=4_000).run_config()
     folder = RunFolder(tmp_path / "r")
     with pytest.raises(TrainerError, match=f"After the update at step 384: {says}"):
         trained_run(config, tmp_path, free_port)
@@ -51,13 +50,13 @@ def checkpoint(**facts: object) -> Checkpoint:
 
 
 def test_a_checkpoint_for_another_observation_size_says_so():
-    stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
+    stages = build_stages(asked("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
     with pytest.raises(TrainerError, match="is for observations of 18 floats, but the player's have 3"):
         restore_trained(checkpoint(), stages, "ppo")
 
 
 def test_a_checkpoint_of_another_algorithm_says_so():
-    stages = build_stages(Train("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
+    stages = build_stages(asked("any", num_areas=4).run_config(), make_vec_env("Pendulum-v1", 4))
     with pytest.raises(TrainerError, match="is of a run with --algo trpo, but this one has ppo"):
         restore_trained(checkpoint(config={"algo": "trpo"}), stages, "ppo")
 
@@ -86,7 +85,7 @@ def in_format_1(checkpoint: Checkpoint) -> Checkpoint:
 
 def test_a_checkpoint_of_the_first_format_goes_on_to_the_bit(tmp_path, free_port, monkeypatch):
     def train_to(results: Path, steps: int, resumed: bool) -> RunFolder:
-        config = Train("r", num_areas=8, training=TrainingOptions(steps=steps)).run_config()
+        config = asked("r", num_areas=8, steps=steps).run_config()
         return trained_run(config, results, free_port, resume=resumed)
 
     final = []

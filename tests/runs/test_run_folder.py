@@ -12,11 +12,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from asked import asked
 from conftest import unused_port
 from recorded_run import begun_run, recorded_run, settings, trained_run
 
-from trainer.commands.shared_options import TrainingOptions
-from trainer.commands.train import Train
 from trainer.drafts import beside, only_writer
 from trainer.errors import TrainerError
 from trainer.files import write_whole
@@ -132,7 +131,7 @@ def test_a_file_system_without_locks_is_warned_of_once_and_written_to(tmp_path, 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run that was trained and evaluated."""
-    config = Train("mine", num_areas=8, training=TrainingOptions(steps=200)).run_config()
+    config = asked("mine", num_areas=8, steps=200).run_config()
     return trained_run(config, tmp_path_factory.mktemp("finished"), unused_port())
 
 

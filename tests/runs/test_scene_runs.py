@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from asked import asked
 from raw_player import write_player
 
 from corridor_server.protocol.agents import Agents, Behavior, Sensor
-from trainer.commands.train import Train
 from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
 from trainer.main import main
@@ -91,7 +91,7 @@ class Sightless(Walkers):
 def config(tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text(yaml.safe_dump({"default_settings": SETTINGS}))
-    return Train("r", file, env="Other.x86_64").run_config()
+    return asked("r", file, env="Other.x86_64").run_config()
 
 
 def train(config, folder: Path, scene: Walkers, resume: bool = False) -> SceneTraining:

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
+from asked import asked
 from conftest import WITH_ROWS, corridor_here, unused_port
 from prepared import Prepared
 from stable_baselines3 import PPO
@@ -20,7 +21,6 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from trainer.commands.train import Train
 from trainer.errors import TrainerError
 from trainer.learning.deferring import Deferring
 from trainer.learning.normaliser import ObservationStatistics
@@ -219,7 +219,7 @@ def test_a_player_that_dies_ends_the_run_with_a_sentence_and_its_data(tmp_path, 
 
 
 def stages_on(env_id: str, c: float):
-    return build_stages(Train("any", c=c, num_areas=4).run_config(), make_vec_env(env_id, 4))
+    return build_stages(asked("any", c=c, num_areas=4).run_config(), make_vec_env(env_id, 4))
 
 
 @pytest.mark.parametrize("c", [0.0, 0.3])
@@ -235,7 +235,7 @@ def test_curiosity_on_branched_actions_says_what_to_do():
             super().__init__(gymnasium.make("CartPole-v1"))
             self.action_space = gymnasium.spaces.MultiDiscrete([2, 3])
 
-    config = Train("any", num_areas=4).run_config()
+    config = asked("any", num_areas=4).run_config()
     with pytest.raises(TrainerError, match=r"takes Box or Discrete actions.* --c 0"):
         build_stages(config, make_vec_env(Branched, 4))
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asked import asked
 from recorded_run import GOLDEN, recorded_run, settings
 
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.gym_env import CorridorEnv
-from trainer.commands.train import Train
 from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
 from trainer.runs.evaluation import Episode
@@ -219,7 +219,7 @@ def test_the_recorded_run_is_found_by_its_folder(tmp_path):
 
 def test_a_runs_corridor_is_what_its_player_was_told():
     """As float32, which the side channel carries; a range's own name sets both of its ends."""
-    config = Train(
+    config = asked(
         "r", env_param=("switch_radius=0.1", "agent_spawn_x=-8", "opponent_spawn_x_min=6"), penalty=0.5
     ).run_config()
     told = corridor_of(config.penalty, config.environment_parameters)

@@ -9,8 +9,11 @@ from trainer.studies.claims import CLAIMS
 from trainer.studies.results import RunResult, curves, scores, steps_to
 
 
-def run(success=0.0, length=300.0, success_length=None, to_50=None, c=0.3, seed=0, rows=(), steps=1_500_000):
+def run(
+    success=0.0, length=300.0, success_length=None, to_50=None, c=0.3, seed=0, rows=(), steps=1_500_000, episodes=200
+):
     evaluation = {
+        "episodes": episodes,
         "success_rate": success,
         "mean_return": -2.0,
         "mean_episode_length": length,
@@ -84,15 +87,39 @@ def test_a_claim_says_its_measure_and_its_numbers():
     assert "Only" not in judged["evidence"]
 
 
-def test_few_or_short_runs_are_said():
-    judged = CLAIMS["C1"].judge({"c0": arm(2, lambda _: run(steps=1000))})
-    assert "Only 2 seeds, too few to rely on" in judged["evidence"]
-    assert "Only 1,000 steps per run" in judged["evidence"]
+def test_few_seeds_are_said():
+    judged = CLAIMS["C1"].judge({"c0": arm(4, lambda _: run())})
+    assert judged["holds"] is True
+    assert judged["evidence"].endswith("Only 4 seeds; 10 are meant.")
+
+
+@pytest.mark.parametrize(
+    ("count", "options", "said"),
+    [
+        (3, {}, "3 of 4 seeds"),
+        (10, {"steps": 20_000}, "20,000 of 1,500,000 steps per run"),
+        (10, {"episodes": 59}, "59 of 60 episodes in an evaluation"),
+        (1, {"steps": 1000}, "1 of 4 seeds, 1,000 of 1,500,000 steps per run"),
+    ],
+)
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_no_claim_is_decided_by_less_than_its_measures_need(claim, count, options, said):
+    results = {each.name: arm(count, lambda _: run(success_length=40.0, **options)) for each in CLAIMS[claim].arms}
+    judged = CLAIMS[claim].judge(results)
+    assert judged["holds"] is None
+    assert judged["evidence"].startswith(f"Not decided: there are {said}. So far: ")
+    enough = {each.name: arm(4, lambda _: run(success_length=40.0, episodes=60)) for each in CLAIMS[claim].arms}
+    assert CLAIMS[claim].judge(enough)["holds"] is not None
+
+
+def test_one_short_run_of_an_arm_is_too_little():
+    runs = [*arm(9, lambda _: run()), run(steps=1_000_000)]
+    assert CLAIMS["C7"].judge({"c0-no-penalty": runs})["holds"] is None
 
 
 def test_without_runs_a_claim_is_not_decided():
     judged = CLAIMS["C2"].judge({"c0.1": arm(10, lambda _: run(success=1.0)), "c0.3": []})
-    assert judged["holds"] is False
+    assert judged["holds"] is None
     assert judged["evidence"] == "Not decided: no finished run of c = 0.3."
 
 

@@ -93,6 +93,11 @@ def test_the_command_leaves_a_report_a_table_and_a_heat_map(run, capsys, monkeyp
     assert len(rows) == 2 + 2 + 1 + 6
     assert {row["opponents"] for row in rows} == {"", "1", "2", "3"}
     assert "## Number of opponents" in (folder / "report.md").read_text()
+    said = capsys.readouterr().out
+    assert "Number of opponents" in said
+    assert "┃ opponents" in said  # a table, not the file's source
+    assert "| --" not in said
+    assert "|---" not in said
 
 
 @pytest.mark.parametrize(

@@ -89,8 +89,15 @@ def test_a_finger_shows_the_values_too(watched, browser):
     if browser.browser_type.name == "firefox":
         pytest.skip("Playwright's Firefox has no phone to emulate")
     opened = watched(viewport=PHONE, has_touch=True, is_mobile=True)
-    opened.locator(f"{SUCCESS} .u-over").tap(position={"x": 120, "y": 20})
-    assert list(tip(opened)[1]) == ["first"]
+    opened.locator("[data-run=first]").focus()
+    places = []
+    for left in (120, 60, 120):
+        opened.locator(f"{SUCCESS} .u-over").tap(position={"x": left, "y": 20})
+        settle(opened)
+        place, values = tip(opened)
+        assert list(values) == ["first"]
+        places.append(int(re.sub(r"\D", "", place)))
+    assert places[0] == places[2] == pytest.approx(2 * places[1], rel=0.02)
 
 
 def test_arrows_move_the_cursor_from_row_to_row(watched):
@@ -176,6 +183,21 @@ def test_zoom_without_dragging(watched, how):
     assert use("-", "out") == pytest.approx((0.25 * end, 0.75 * end))
     assert use("0", "all") == (0, end)
     assert use("-", "out") == (0, end)
+
+
+def test_the_cursor_stays_at_its_row_while_the_charts_are_drawn_anew(watched, tmp_path):
+    opened = watched()
+    focused(opened)
+    for key in ("Home", "Shift+ArrowRight", "+", "+"):
+        opened.keyboard.press(key)
+    settle(opened)
+    expected = f"{ROWS[10]['env_steps']:,.0f} agent steps", {"first": f"{ROWS[10]['success_rate']:.3f}"}
+    assert tip(opened) == expected
+    progress = tmp_path / "results" / "first" / "progress.csv"
+    progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:-1]))
+    until(opened, f"corridor.learning.charts[1].plot.data[0].length === {len(ROWS) - 1}", 20)
+    settle(opened)
+    assert tip(opened) == expected
 
 
 def test_the_view_follows_the_cursor_out_of_what_is_shown(watched):

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from trainer.presets import PRESETS
+
 
 @dataclass(frozen=True)
 class Workload:
@@ -15,6 +17,9 @@ class Workload:
         train_steps: Agent steps of a training run, by preset.
         train_rounds: How often each training run is made; the median counts.
         players: Pairs of players and areas in each, as many areas in all of them.
+        peer_areas: Of the corridor that is trained on beside others.
+        peer_seconds: How long each of these measurements lasts.
+        limit_updates: Of the default preset, in which parts are timed.
         memory_areas: In the player whose memory is measured.
         memory_steps: Agent steps after which memory is measured, by the name that the report gives them.
     """
@@ -25,6 +30,9 @@ class Workload:
     train_steps: Mapping[str, int] = field(default_factory=lambda: {"fast": 400_000, "paper": 20_000})
     train_rounds: int = 2
     players: tuple[tuple[int, int], ...] = ((1, 256), (4, 64))
+    peer_areas: int = PRESETS["fast"].num_areas
+    peer_seconds: float = 2.0
+    limit_updates: int = 150
     memory_areas: int = 1024
     memory_steps: Mapping[str, int] = field(default_factory=lambda: {"1e6": 10**6, "1e7": 10**7})
 

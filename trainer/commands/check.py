@@ -1,7 +1,11 @@
 """``corridor check``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
+import tyro
+
+from trainer.commands.shared_options import Flag
 from trainer.options import Options, Seconds, env_args_of_another
 from trainer.terminal import Terminal
 
@@ -14,10 +18,14 @@ class Check(Options):
     """builtin, a build's path, editor, or HOST:PORT to listen on. One not started here dials in for every sentence."""
     timeout_wait: Seconds = 20.0
     """Seconds to wait for each message of the player."""
-    env_args: tuple[str, ...] = ()
+    env_args: Annotated[tuple[str, ...], tyro.conf.arg(metavar="...", help_behavior_hint="")] = ()
     """Everything after this option is passed to the player that is started here."""
-    strict: bool = False
+    strict: Flag = False
     """Also say which of corridor-server's own promises hold, apart: Unity keeps few, and the exit code ignores them."""
+
+    def with_env_args(self, given: tuple[str, ...]) -> "Check":
+        """The same with arguments of the player's own."""
+        return replace(self, env_args=given)
 
     def run(self, typed: str) -> int:
         """Checks; the exit code is 1 if a sentence of the protocol or of the contract failed."""

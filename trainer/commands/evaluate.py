@@ -24,6 +24,7 @@ class Evaluate(Options):
     def run(self, typed: str) -> int:
         """Evaluates."""
         folder = self.results.find()
+        from trainer.activity import doing
         from trainer.drafts import only_writer
         from trainer.players.location import check_connection, check_launchable
         from trainer.runs.checkpoint import find_checkpoint
@@ -35,7 +36,8 @@ class Evaluate(Options):
             find_checkpoint(folder.checkpoints, self.checkpoint)
             check_launchable(config.env)
             check_connection(config, self.connection)
-            from trainer.runs.run import evaluate_run
+            with doing("Loading PyTorch"):
+                from trainer.runs.run import evaluate_run
 
             evaluate_run(config, folder, draft, self.connection, episodes=self.episodes, checkpoint=self.checkpoint)
         return 0

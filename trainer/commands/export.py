@@ -20,11 +20,15 @@ class Export:
         check_file(self.onnx, "--onnx")
         folder = self.results.find()
         config = folder.read_config()
+        from trainer.activity import doing
         from trainer.runs.checkpoint import find_checkpoint
 
         find_checkpoint(folder.checkpoints)
-        from trainer.runs.onnx_file import export_run
+        with doing("Loading PyTorch"):
+            from trainer.runs.onnx_file import export_run
 
-        for path in export_run(config, folder, self.onnx):
+        with doing("Writing policies, and comparing them with the trained ones"):
+            paths = export_run(config, folder, self.onnx)
+        for path in paths:
             Terminal().print(f"Wrote {path}")
         return 0

@@ -1,8 +1,9 @@
 """``corridor replay``."""
 
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
-from trainer.commands.shared_options import Episodes, ExistingRun
+from trainer.commands.shared_options import Episodes, ExistingRun, OpenPage, open_page
 from trainer.config import ConnectionOptions, PortOptions
 from trainer.errors import TrainerError
 from trainer.options import Options
@@ -21,10 +22,12 @@ class Replay(Options):
     """Play this checkpoint instead, such as step-500736."""
     episodes: Episodes = 20
     """How many episodes the page shows."""
+    open: OpenPage = False
     connection: PortOptions = field(default_factory=PortOptions)
 
     def run(self, typed: str) -> int:
         """Writes the pages."""
+        from trainer.activity import doing
         from trainer.drafts import only_writer
         from trainer.runs.folder import is_study, run_places
 
@@ -37,7 +40,8 @@ class Replay(Options):
                 from trainer.viewer.study_page import write_study_page
 
                 with only_writer(study):
-                    write_study_page(study, self.episodes, Terminal())
+                    report = write_study_page(study, self.episodes, Terminal())
+                self._open(report)
                 return 0
         folder, connection = self.results.find(), ConnectionOptions(**asdict(self.connection))
         with only_writer(folder.path) as draft:
@@ -49,9 +53,10 @@ class Replay(Options):
                 find_checkpoint(folder.checkpoints, self.checkpoint)
                 check_launchable(config.env)
                 check_connection(config, connection)
-            from trainer.viewer.replay_files import replay_run
+            with doing("Getting ready to draw"):
+                from trainer.viewer.replay_files import replay_run
 
-            replay_run(
+            page, *_ = replay_run(
                 config,
                 folder,
                 draft,
@@ -59,4 +64,9 @@ class Replay(Options):
                 checkpoint=self.checkpoint,
                 episodes=self.episodes,
             )
+        self._open(page)
         return 0
+
+    def _open(self, page: Path) -> None:
+        if self.open:
+            open_page(page.absolute().as_uri())

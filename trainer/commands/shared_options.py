@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.config import PAPER_STEPS, PresetName
+from trainer.config import PAPER_STEPS, RESULTS, PresetName
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
+from trainer.terminal import Terminal
 
 if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder
 
-RESULTS = Path("results")
 PRESET: PresetName = "fast"
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
+OpenPage = Annotated[bool, tyro.conf.arg(help="Open the page in the browser.", help_behavior_hint="")]
 Episodes = Annotated[int, Range(1, otherwise="1 or more was expected")]
 
 
@@ -31,23 +33,31 @@ def check_file(path: Path, option: str) -> None:
         raise TrainerError(f"{option} {path} can't be written; give a file's name in a folder that is there.")
 
 
+def open_page(address: str) -> None:
+    """Opens a page in the user's browser, or says that there is none."""
+    import webbrowser
+
+    if not webbrowser.open(address):
+        Terminal(stderr=True).print("No browser could be started; open the page by hand.")
+
+
 @dataclass(frozen=True)
 class TrainingOptions(Options):
     """How, and how long, a run trains."""
 
     preset: Annotated[PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET})")] = None
-    """fast: many areas through one player; paper: one area through UnityToGymWrapper, as the paper did."""
-    steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS})")] = None
-    """Agent steps to train for; over a file's max_steps."""
+    """fast: many copies of the training area at once; paper: one, through UnityToGymWrapper, as the paper did."""
+    steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,})")] = None
+    """How many decisions to learn from, all agents' together (agent steps); over a file's max_steps."""
     eval_episodes: Count = 200
-    """Episodes of the evaluation at the end."""
+    """How many episodes the evaluation at the end plays."""
 
 
 @dataclass(frozen=True)
 class ExistingRun:
     """Where the run is."""
 
-    run: tyro.conf.Positional[str]
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run's id, or the path of its folder."""
     results_dir: ResultsDir = RESULTS
 

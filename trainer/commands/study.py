@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import PRESET, RESULTS, TrainingOptions
-from trainer.config import PAPER_STEPS, ExecutorName, WaitOptions
+from trainer.commands.shared_options import PRESET, TrainingOptions
+from trainer.config import PAPER_STEPS, RESULTS, ExecutorName, WaitOptions
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
 from trainer.terminal import Terminal
@@ -57,8 +57,11 @@ class StudyOptions(Options):
 
         store = Store(self.results_dir)
         with store.only_writer(self.name):
-            from trainer.studies import conduct, executors, plan
-            from trainer.studies.ray_executor import RayExecutor
+            from trainer.activity import doing
+
+            with doing("Looking for runs that are finished"):
+                from trainer.studies import conduct, executors, plan
+                from trainer.studies.ray_executor import RayExecutor
 
             studies = {each.name: each for each in plan.STUDIES}
             executor: executors.Executor
@@ -120,7 +123,7 @@ class DoseResponse(StudyOptions):
 class Generalise(Options):
     """Trained policies in corridors that they never saw: faster opponents, narrower, switch and start moved, more."""
 
-    runs: tyro.conf.Positional[tuple[str, ...]]
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")]
     """Finished runs, by id or path: one, or several seeds of the same settings."""
     episodes: Count = 100
     """To play in each changed corridor."""
@@ -138,8 +141,11 @@ class Generalise(Options):
         folders = [RunFolder.find(run, self.results_dir) for run in self.runs]
         for folder in folders:
             find_checkpoint(folder.checkpoints)
+        from trainer.activity import doing
         from trainer.drafts import only_writer
-        from trainer.studies.generalise import run_generalise
+
+        with doing("Loading PyTorch"):
+            from trainer.studies.generalise import run_generalise
 
         target = self.results_dir / "generalise"
         with only_writer(target) as draft:
@@ -153,6 +159,16 @@ class Generalise(Options):
                 console=Terminal(),
             )
         return 0
+
+
+STUDIES: dict[str, type[StudyOptions] | type[Generalise]] = {
+    "curiosity-ratio": CuriosityRatio,
+    "penalty": Penalty,
+    "case-studies": CaseStudies,
+    "algorithms": Algorithms,
+    "dose-response": DoseResponse,
+    "generalise": Generalise,
+}
 
 
 @dataclass(frozen=True)

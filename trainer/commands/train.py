@@ -1,15 +1,15 @@
 """``corridor train``."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, cast, get_type_hints
 
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import PRESET, RESULTS, ResultsDir, TrainingOptions
-from trainer.config import PAPER_STEPS, ConnectionOptions, Device, EngineConfig, RestartLimits, RunConfig
+from trainer.commands.shared_options import PRESET, Flag, ResultsDir, TrainingOptions
+from trainer.config import PAPER_STEPS, RESULTS, ConnectionOptions, Device, EngineConfig, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, check_ranges
 from trainer.errors import TrainerError
 from trainer.hyperparameters import Algorithm, Intrinsic
@@ -40,53 +40,71 @@ def _flags_of(config: type[EngineConfig]) -> Any:
 
 
 @dataclass(frozen=True)
-class Train(Options):
-    """Train an agent on an ML-Agents environment, then evaluate it."""
+class EnvironmentOptions(Options):
+    """What is trained on. A player is the process that plays it: a Unity build, or corridor-server."""
 
-    run_id: Annotated[str | None, tyro.conf.arg(help_behavior_hint="(required, here or in the file)")] = None
-    """Name of the run; its results go to RESULTS_DIR/RUN_ID."""
-    file: Annotated[
-        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CONFIG.yaml]", help_behavior_hint="")
+    env: Annotated[str, tyro.conf.arg(metavar="WHICH")] = "builtin"
+    """builtin (the paper's corridor), editor (Unity's, port 5004), a build's path, or HOST:PORT to listen on."""
+    num_envs: Count = 1
+    """How many players play at the same time, on ports that follow each other."""
+    num_areas: Annotated[
+        Count | None, tyro.conf.arg(help_behavior_hint="(default: the preset's, or 1 where a file says how to train)")
     ] = None
-    """mlagents-learn's YAML; flags win over it, and it over the preset."""
-    env: str = "builtin"
-    """builtin (our corridor), editor (the Unity editor, port 5004), a build's path, or HOST:PORT to listen on."""
+    """Copies of the training area in each player, with an agent each."""
+    env_param: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=NUMBER ...", help_behavior_hint="")] = ()
+    """Numbers that the environment can be told, such as opponent_speed=1.5; over those of the file."""
+    graphics: Flag = False
+    """Builds that are launched here open a window and render, which a scene with a camera needs."""
+    no_graphics: Flag = False
+    """They render nothing and need no display: the default here, where mlagents-learn renders."""
+    env_args: Annotated[tuple[str, ...], tyro.conf.arg(metavar="...", help_behavior_hint="")] = ()
+    """Everything after this option is passed to the players that are launched here."""
+
+
+@dataclass(frozen=True)
+class LearningOptions(TrainingOptions):
+    """How, and how long, the agent learns."""
+
+    seed: Seed = 0
+    """The same seed gives the same run."""
     c: Annotated[
         float | None, Range(0, 1000), tyro.conf.arg(help_behavior_hint="(default: 0.3 on the corridor, none elsewhere)")
     ] = None
-    """The paper's curiosity ratio, elsewhere the strength of curiosity; 0 is base PPO."""
-    seed: Seed = 0
-    """Decides the run."""
-    num_envs: Count = 1
-    """Players, stepped concurrently, on consecutive ports."""
-    num_areas: Count | None = None
-    """Training areas in each player; if not given, the preset's, or 1 where a file has settings for behaviors."""
-    results_dir: ResultsDir = RESULTS
-    resume: bool = False
-    """Continue an existing run."""
-    force: bool = False
-    """Overwrite an existing run."""
-    algo: Algorithm = "ppo"
-    """The learning algorithm."""
-    intrinsic: Intrinsic = "icm"
-    """What curiosity is paid for: icm, or rnd (random network distillation)."""
-    from_sb3: Path | None = None
-    """Begin with the policy of this Stable-Baselines3 .zip instead of a random one."""
+    """How much curiosity counts beside the environment's reward (the paper's curiosity ratio); 0 is none: base PPO."""
     penalty: Annotated[float, Range(0, 1000)] = DEFAULT_PENALTY
     """Subtracted from the reward when an episode fails; 0 for the paper's case study B."""
-    config: Path | None = None
-    """Another way to give CONFIG.yaml."""
+    intrinsic: Intrinsic = "icm"
+    """What curiosity is paid for: icm, being wrong about what an action will change (the paper's intrinsic curiosity
+    module); rnd, being wrong about what a random network says of it (random network distillation)."""
+    algo: Algorithm = "ppo"
+    """How the policy is improved: by PPO (proximal policy optimisation), as in the paper, or by another algorithm."""
+    from_sb3: Annotated[Path | None, tyro.conf.arg(metavar="MODEL.zip", help_behavior_hint="")] = None
+    """Begin with the policy that Stable-Baselines3 saved in this file, not with a random one."""
     device: Device = "auto"
-    """Where networks compute; auto: a GPU where PyTorch sees one."""
-    graphics: bool = False
-    """Launched builds open a window and render, which a scene with a camera needs."""
-    no_graphics: bool = False
-    """Launched builds render nothing and need no display; the default here, where mlagents-learn renders."""
-    env_param: tuple[str, ...] = ()
-    """Environment parameters, NAME=NUMBER; over those of the file."""
-    env_args: tuple[str, ...] = ()
-    """Everything after this option is passed to the launched players."""
-    training: TrainingOptions = field(default_factory=TrainingOptions)
+    """Where networks compute; auto: a GPU where PyTorch sees one, if it is worth it."""
+
+
+@dataclass(frozen=True)
+class Train(Options):
+    """Train an agent on an ML-Agents environment, then evaluate it."""
+
+    run_id: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(required, here or in the file)")
+    ] = None
+    """Name of the run; its results go to RESULTS_DIR/NAME."""
+    file: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CONFIG.yaml]", help_behavior_hint="")
+    ] = None
+    """A file of settings, as mlagents-learn has it; options win over it, and it over the preset."""
+    results_dir: ResultsDir = RESULTS
+    resume: Flag = False
+    """Continue the run of this name."""
+    force: Flag = False
+    """Delete the run of this name, and begin again."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="CONFIG.yaml", help_behavior_hint="")] = None
+    """Another way to give the file."""
+    environment: EnvironmentOptions = field(default_factory=EnvironmentOptions)
+    training: LearningOptions = field(default_factory=LearningOptions)
     connection: ConnectionOptions = field(default_factory=ConnectionOptions)
     restarts: RestartLimits = field(default_factory=RestartLimits)
     engine: Annotated[Mapping[str, float], tyro.conf.arg(constructor=_flags_of(EngineConfig))] = field(
@@ -103,27 +121,34 @@ class Train(Options):
         """
         super().__post_init__()
         base_port, preset = self.connection.base_port, self.training.preset or PRESET
+        environment, training = self.environment, self.training
         if self.file is not None and self.config is not None:
             raise TrainerError(f"{self.file} and --config {self.config} are two files; give one of them.")
-        if base_port + self.num_envs - 1 > 65535:
+        if base_port + environment.num_envs - 1 > 65535:
             raise TrainerError(f"--base-port is {base_port}, but ports end at 65535.")
         through_gym = PRESETS[preset].through_gym if self._paper is None else self._paper.through_gym
-        for name, count in (("num-areas", self.num_areas), ("num-envs", self.num_envs)):
+        for name, count in (("num-areas", environment.num_areas), ("num-envs", environment.num_envs)):
             if through_gym and count not in (None, 1):
                 raise TrainerError(
                     f"--{name} is {count}, but preset {preset} trains one area through UnityToGymWrapper; "
                     f"leave --{name} out, or take preset fast."
                 )
-        if self.env == "editor" and self.num_envs != 1:
-            raise TrainerError(f"--num-envs is {self.num_envs}, but the Unity editor is one player; leave it out.")
+        if environment.env == "editor" and environment.num_envs != 1:
+            raise TrainerError(
+                f"--num-envs is {environment.num_envs}, but the Unity editor is one player; leave it out."
+            )
         try:
             str(self.results_dir).encode()
         except UnicodeEncodeError as error:
             raise TrainerError(f"--results-dir {self.results_dir} is not UTF-8, as TensorBoard needs it.") from error
-        if self.graphics and self.no_graphics:
+        if environment.graphics and environment.no_graphics:
             raise TrainerError("--graphics and --no-graphics contradict each other; give one of them.")
-        if self.c == 0 and self.intrinsic != "icm":
-            raise TrainerError(f"--intrinsic {self.intrinsic} has no effect with --c 0, base PPO; leave it out.")
+        if training.c == 0 and training.intrinsic != "icm":
+            raise TrainerError(f"--intrinsic {training.intrinsic} has no effect with --c 0, base PPO; leave it out.")
+
+    def with_env_args(self, given: tuple[str, ...]) -> "Train":
+        """The same with arguments of the players' own."""
+        return replace(self, environment=replace(self.environment, env_args=given))
 
     def over_its_file(self) -> "Train | None":
         """A command whose values are those of this one's file, where it has any, for flags to stand over.
@@ -139,24 +164,23 @@ class Train(Options):
             return None
         env, checkpoints = said.env_settings.as_dict(), said.checkpoint_settings.as_dict()
         connection, restarts = ("timeout_wait", "base_port"), [each.name for each in fields(RestartLimits)]
-        values: dict[str, Any] = {name: env[name] for name in ("num_envs", "num_areas", "seed") if name in env}
+        values: dict[str, Any] = {name: env[name] for name in ("num_envs", "num_areas") if name in env}
         if "env_path" in env:
             values["env"] = env["env_path"]
-        if "results_dir" in checkpoints:
-            values["results_dir"] = Path(checkpoints["results_dir"])
+        learning: dict[str, Any] = {"seed": env.get("seed", 0), "device": said.torch_settings.device or "auto"}
         if said.paper is not None:
             settings = said.paper.settings
-            values |= {"algo": settings.algorithm, "penalty": settings.penalty}
-            values["intrinsic"] = settings.curiosity.intrinsic
-            values["from_sb3"] = None if settings.from_sb3 is None else Path(settings.from_sb3)
+            learning |= {"algo": settings.algorithm, "penalty": settings.penalty}
+            learning["intrinsic"] = settings.curiosity.intrinsic
+            learning["from_sb3"] = None if settings.from_sb3 is None else Path(settings.from_sb3)
         return Train(
             said=said,
             run_id=checkpoints.get("run_id"),
-            device=said.torch_settings.device or "auto",
-            env_args=tuple(env.get("env_args", ())),
+            results_dir=Path(checkpoints.get("results_dir", RESULTS)),
+            environment=EnvironmentOptions(env_args=tuple(env.get("env_args", ())), **values),
+            training=LearningOptions(**learning),
             connection=ConnectionOptions(**{name: env[name] for name in connection if name in env}),
             restarts=RestartLimits(**{name: env[name] for name in restarts if name in env}),
-            **values,
         )
 
     @property
@@ -181,39 +205,42 @@ class Train(Options):
         """
         if self.run_id is None:
             raise TrainerError("The run has no name; give it one with --run-id.")
-        said, ours = self.said or self._read() or RunOptions(), self.env == "builtin"
+        environment, training = self.environment, self.training
+        said, ours, paper = self.said or self._read() or RunOptions(), environment.env == "builtin", self._paper
         engine: dict[str, Any] = dict(self.engine)
-        behaviors, default, unlisted = said.recorded(self.training.steps, self.c, self.intrinsic)
-        if behaviors or default is not None:
+        behaviors, default, unlisted = said.recorded(training.steps, training.c, training.intrinsic)
+        by_behavior = bool(behaviors) or default is not None
+        if by_behavior:
             self._check_lockstep()
-        paper = self._paper
-        if paper is not None and self.training.preset is not None:
-            raise _no_effect("--preset", self.training.preset)
+        if paper is not None and training.preset is not None:
+            raise _no_effect("--preset", training.preset)
+        c = CURIOSITY_RATIO if paper is None else paper.curiosity.c
+        renders = bool(said.graphics) and not environment.no_graphics and self._is_build()
         config = preset_run(
             self.run_id,
-            (self.training.preset or PRESET) if paper is None else paper.preset,
-            c=self.c if self.c is not None else (CURIOSITY_RATIO if paper is None else paper.curiosity.c),
-            seed=self.seed,
-            steps=self.training.steps or said.max_steps or PAPER_STEPS,
-            env=self.env,
-            algo=self.algo,
-            penalty=self.penalty,
-            num_areas=1 if self.num_areas is None and (behaviors or default is not None) else self.num_areas,
-            intrinsic=self.intrinsic,
-            from_sb3=None if self.from_sb3 is None else str(self.from_sb3),
-            num_envs=self.num_envs,
-            env_args=list(self.env_args),
-            graphics=self.graphics or (bool(said.graphics) and not self.no_graphics and self._is_build()),
+            (training.preset or PRESET) if paper is None else paper.preset,
+            c=c if training.c is None else training.c,
+            seed=training.seed,
+            steps=training.steps or said.max_steps or PAPER_STEPS,
+            env=environment.env,
+            algo=training.algo,
+            penalty=training.penalty,
+            num_areas=1 if environment.num_areas is None and by_behavior else environment.num_areas,
+            intrinsic=training.intrinsic,
+            from_sb3=None if training.from_sb3 is None else str(training.from_sb3),
+            num_envs=environment.num_envs,
+            env_args=list(environment.env_args),
+            graphics=environment.graphics or renders,
             engine=EngineConfig(**{**said.engine_settings, **engine}),
-            environment_parameters=said.parameters(self.env_param, ours),
+            environment_parameters=said.parameters(environment.env_param, ours),
             base=None if paper is None else paper.base,
-            own=paper.own_hyperparameters if paper is not None and paper.algorithm == self.algo else None,
+            own=paper.own_hyperparameters if paper is not None and paper.algorithm == training.algo else None,
             behavior=None if said.paper is None else said.paper.behavior,
-            preset_given=self.training.preset is not None or paper is not None,
+            preset_given=training.preset is not None or paper is not None,
             behaviors=behaviors,
             default_settings=default,
             unlisted_settings={} if ours or paper is not None else unlisted,  # the corridor has its preset
-            device=self.device,
+            device=training.device,
         )
         if ours:
             check_ranges(config.environment_parameters)
@@ -225,15 +252,19 @@ class Train(Options):
         Raises:
             TrainerError: The first of them.
         """
-        algo = None if self.algo == "ppo" else self.algo
-        for option, value in (("--preset", self.training.preset), ("--algo", algo), ("--from-sb3", self.from_sb3)):
+        algo = None if self.training.algo == "ppo" else self.training.algo
+        for option, value in (
+            ("--preset", self.training.preset),
+            ("--algo", algo),
+            ("--from-sb3", self.training.from_sb3),
+        ):
             if value is not None:
                 raise _no_effect(option, value)
 
     def _is_build(self) -> bool:
         from trainer.players.location import can_be_launched
 
-        return self.env != "builtin" and can_be_launched(self.env)
+        return self.environment.env != "builtin" and can_be_launched(self.environment.env)
 
     def check_effects(self, launched: bool) -> None:
         """Refuses options that have no effect on such players.
@@ -244,12 +275,14 @@ class Train(Options):
         Raises:
             TrainerError: The first of them.
         """
-        ours = self.env == "builtin"
-        if self.env_args and not launched:
-            raise env_args_of_another(self.env)
-        if self.graphics and (ours or not launched):
+        ours = self.environment.env == "builtin"
+        if self.environment.env_args and not launched:
+            raise env_args_of_another(self.environment.env)
+        if self.environment.graphics and (ours or not launched):
             why = "draws nothing" if ours else "is not launched here"
-            raise TrainerError(f"--graphics is for builds that are launched here, but --env {self.env} {why}.")
+            raise TrainerError(
+                f"--graphics is for builds that are launched here, but --env {self.environment.env} {why}."
+            )
         if self.engine and ours:
             name = next(iter(self.engine)).replace("_", "-")
             raise TrainerError(f"--{name} is for Unity's engine, but --env builtin has none; leave it out.")
@@ -265,16 +298,18 @@ class Train(Options):
         check_connection(config, self.connection)
         check_device(config.device)
         resume, force = self.resumes_or_overwrites()
-        if self.algo == "ddpg" and resume:
+        if self.training.algo == "ddpg" and resume:
             raise TrainerError("--resume can't continue --algo ddpg, whose replay buffer is not kept; begin a new run.")
+        from trainer.activity import doing
         from trainer.runs.folder import RunFolder
 
         with RunFolder.claim(config, self.results_dir, resume=resume, force=force) as (folder, draft):
-            if self.from_sb3 is not None and not resume:
+            if self.training.from_sb3 is not None and not resume:
                 from trainer.learning.sb3_zip import read_sb3_policy
 
-                read_sb3_policy(self.from_sb3)
-            from trainer.runs.run import train_run
+                read_sb3_policy(self.training.from_sb3)
+            with doing("Loading PyTorch"):
+                from trainer.runs.run import train_run
 
             finished = train_run(
                 config,

@@ -181,6 +181,7 @@ class ShowProgress(BaseCallback):
         self._curiosity = stages.curiosity
 
     def _on_step(self) -> bool:
+        self._display.move(self._line, self.num_timesteps)
         return True
 
     def _on_rollout_end(self) -> None:

@@ -1,6 +1,6 @@
 """Evaluation: whole episodes of a policy without learning, and what they amount to."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +50,12 @@ class Episode:
 
 
 def evaluate(
-    model: "BaseAlgorithm", normaliser: "VecNormalize", player: "VecEnv", episodes: int, deterministic: bool = True
+    model: "BaseAlgorithm",
+    normaliser: "VecNormalize",
+    player: "VecEnv",
+    episodes: int,
+    deterministic: bool = True,
+    tell: Callable[[int], None] = lambda played: None,
 ) -> list[Episode]:
     """Plays episodes with the policy, as it is, on unwrapped environments.
 
@@ -62,6 +67,7 @@ def evaluate(
         player: The environments.
         episodes: How many to play.
         deterministic: Take the policy's mean action instead of a sample.
+        tell: Told how many episodes have been played, whenever one has.
 
     Returns:
         The episodes, slot by slot.
@@ -99,6 +105,7 @@ def evaluate(
                 )
             )
             path[slot], taken[slot], rewards[slot] = [observations[slot]], [], []
+            tell(sum(map(len, played)))
     return [episode for slot in played for episode in slot]
 
 

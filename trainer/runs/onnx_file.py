@@ -24,7 +24,7 @@ from trainer.players.vec_env import action_space, observation_space
 from trainer.runs.behavior_learners import restored_learners
 from trainer.runs.folder import RunFolder
 from trainer.runs.onnx_check import Allowed, Choices, check_graph
-from trainer.runs.onnx_graph import Gaussian, Scaling, graph_of
+from trainer.runs.onnx_graph import LimitedActor, Scaling, graph_of
 from trainer.runs.onnx_learner import learner_as_onnx
 from trainer.runs.training import load_trained
 
@@ -85,7 +85,7 @@ def policy_as_onnx(stages: Stages, spec: BehaviorSpec) -> bytes:
         )
     behavior, scalings = described("", spec), _scalings(stages, spec)
     log_std = torch.zeros(0) if behavior.discrete_branches else policy.log_std
-    program = graph_of(behavior, Gaussian(_LockstepActor(policy), log_std), scalings)
+    program = graph_of(behavior, LimitedActor(_LockstepActor(policy), log_std), scalings)
     check_graph(program, behavior, scalings, _LockstepPolicy(policy, stages.normaliser, behavior.discrete_branches))
     return program
 

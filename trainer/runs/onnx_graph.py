@@ -43,7 +43,7 @@ class Scaling(NamedTuple):
     deviation: NDArray[np.float64]
 
 
-class Gaussian(nn.Module):
+class LimitedActor(nn.Module):
     """An actor whose continuous actions are drawn about means, with the same deviations everywhere, and limited.
 
     Args:
@@ -68,7 +68,7 @@ class Gaussian(nn.Module):
         return sampled.clamp(-1.0, 1.0), means.clamp(-1.0, 1.0), outputs[:, self.size :]
 
 
-class Squashed(nn.Module):
+class SquashedActor(nn.Module):
     """An actor whose continuous actions are the tanh of what is drawn about means: SAC's.
 
     Args:
@@ -86,7 +86,7 @@ class Squashed(nn.Module):
         return (means + log_std.exp() * torch.randn_like(means)).tanh(), means.tanh(), means
 
 
-def graph_of(behavior: Behavior, actor: Gaussian | Squashed, scalings: Mapping[int, Scaling]) -> bytes:
+def graph_of(behavior: Behavior, actor: LimitedActor | SquashedActor, scalings: Mapping[int, Scaling]) -> bytes:
     """A policy as a serialised ONNX model.
 
     Args:

@@ -17,7 +17,7 @@ from trainer.learning.sac_learner import SACLearner
 from trainer.learning.tensors import tensor, tensors
 from trainer.learning.transitions import Singles
 from trainer.runs.onnx_check import Allowed, Choices, OwnPolicy, check_graph
-from trainer.runs.onnx_graph import Gaussian, Scaling, Squashed, graph_of
+from trainer.runs.onnx_graph import LimitedActor, Scaling, SquashedActor, graph_of
 
 
 def learner_as_onnx(learner: Learner) -> bytes:
@@ -30,13 +30,13 @@ def learner_as_onnx(learner: Learner) -> bytes:
         place: Scaling(each.mean, np.sqrt(each.var + EPSILON))
         for place, each in learner.observations.statistics.items()
     }
-    actor: Gaussian | Squashed
+    actor: LimitedActor | SquashedActor
     policy: OwnPolicy
     if isinstance(learner, SACLearner):
-        actor, policy = Squashed(_SACActor(learner)), _SACPolicy(learner)
+        actor, policy = SquashedActor(_SACActor(learner)), _SACPolicy(learner)
     else:
         assert isinstance(learner, PPOLearner)
-        actor, policy = Gaussian(_PPOActor(learner.policy), learner.policy.log_std), _PPOPolicy(learner)
+        actor, policy = LimitedActor(_PPOActor(learner.policy), learner.policy.log_std), _PPOPolicy(learner)
     program = graph_of(learner.behavior, actor, scalings)
     check_graph(program, learner.behavior, scalings, policy)
     return program

@@ -1,14 +1,22 @@
-"""What a person sees while a run trains: a progress bar in a terminal, a line now and then elsewhere."""
+"""What a person sees while a run trains: in a terminal a line that moves, a line now and then elsewhere."""
 
+import time
 from dataclasses import dataclass
+from datetime import timedelta
 from types import TracebackType
 
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.cells import cell_len, set_cell_size
+from rich.progress import Progress, Task, TaskID
 from rich.text import Text
 
+from trainer.activity import BETWEEN, OneLine, bar, percent
 from trainer.terminal import Terminal
 
 LINES = 15  # printed over a whole run where there is no terminal
+MOVES = 0.25  # seconds, at least, between two that are shown before an update
+NAME = 20  # characters, at most
+# What there should be room for first; of several lines, the name is to tell them apart.
+MATTERS = ("share", "left", "return", "name", "success", "bar", "steps", "speed", "length", "curiosity")
 
 
 @dataclass(frozen=True)
@@ -29,23 +37,17 @@ class Snapshot:
     reports_success: bool = True
     is_curious: bool = True
 
-    def text(self) -> str:
-        """Return, success rate, episode length and intrinsic reward."""
+    def parts(self) -> dict[str, str]:
+        """Return, success rate, episode length and intrinsic reward as they are shown, by name."""
         some = 0 < self.unknown < self.episodes
         success = f"unknown for {self.unknown} of {self.episodes}" if some else _number(self.success_rate, ".0%")
-        known = some or self.success_rate is not None or self.reports_success
-        parts = [
-            f"return {_number(self.mean_return, '+.2f')}",
-            f"success {success}" if known else None,
-            f"length {_number(self.mean_length, '.0f')}",
-            f"curiosity {_number(self.intrinsic_reward, '.5f')}" if self.is_curious else None,
-        ]
-        return "  ".join(part for part in parts if part is not None)
-
-
-class _SpeedColumn(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        return Text("- steps/s" if task.speed is None else f"{task.speed:,.0f} steps/s")
+        parts = {"return": _number(self.mean_return, "+.2f")}
+        if some or self.success_rate is not None or self.reports_success:
+            parts["success"] = success
+        parts["length"] = _number(self.mean_length, ".0f")
+        if self.is_curious:
+            parts["curiosity"] = _number(self.intrinsic_reward, ".5f")
+        return {name: f"{name} {value}" for name, value in parts.items()}
 
 
 class ProgressDisplay:
@@ -54,17 +56,36 @@ class ProgressDisplay:
     def __init__(self) -> None:
         self._console = Terminal()
         self._bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=24),
-            TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps", markup=False),
-            _SpeedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[text]}", markup=False),
+            OneLine(self._console, self._parts, self._matters),
             console=self._console,
             speed_estimate_period=10.0,
             disable=not self._console.is_terminal,
         )
         self._lines: dict[str, _Line] = {}
+
+    def _parts(self, task: Task) -> dict[str, str | Text]:
+        snapshot = task.fields["snapshot"]
+        left = "-:--:--" if task.time_remaining is None else timedelta(seconds=int(task.time_remaining))
+        speed = "-" if task.speed is None else f"{task.speed:,.0f}"
+        return {
+            "name": self._name(task),
+            "share": percent(task),
+            "bar": bar(task, self._console),
+            "left": f"{left} left",
+            **({"return": "first update to come"} if snapshot is None else snapshot.parts()),
+            "steps": f"{task.completed:,.0f}/{task.total:,.0f} steps",
+            "speed": f"{speed} steps/s",
+        }
+
+    def _name(self, task: Task) -> str:
+        """The task's name, as wide as the others', which takes a quarter of the room at most."""
+        most = min(NAME, self._console.width // 4)
+        names = {each.id: each.description for each in self._bar.tasks}
+        cut = {id: set_cell_size(name, most - 1) + "…" if cell_len(name) > most else name for id, name in names.items()}
+        return set_cell_size(cut[task.id], max(map(cell_len, cut.values())))
+
+    def _matters(self, _: Task) -> tuple[str, ...]:
+        return MATTERS if len(self._lines) < 2 else ("share", "name", *MATTERS)
 
     def __enter__(self) -> "ProgressDisplay":
         self._bar.start()
@@ -83,17 +104,29 @@ class ProgressDisplay:
             total: Agent steps in all.
             done_before: Steps that a resumed run already has.
         """
-        task = self._bar.add_task(name, total=total, completed=done_before, text="")
+        task = self._bar.add_task(
+            self._console.render_str(name).plain, total=total, completed=done_before, snapshot=None
+        )
         self._lines[name] = _Line(task, total, done_before)
+        if not self._console.is_terminal:
+            before = f", {done_before:,} of them done before" if done_before else ""
+            self._console.print(f"Training {name} for {total:,} steps{before} ...")
+
+    def move(self, name: str, steps: int) -> None:
+        """Shows how many steps a line has taken by now, between updates; may be called at every step."""
+        line, now = self._lines[name], time.monotonic()
+        if now >= line.next_move:
+            line.next_move = now + MOVES
+            self._bar.update(line.task, completed=min(steps, line.total))
 
     def update(self, name: str, snapshot: Snapshot) -> None:
         """Shows a newer snapshot of a line."""
         line = self._lines[name]
-        self._bar.update(line.task, completed=min(snapshot.steps, line.total), text=snapshot.text())
+        self._bar.update(line.task, completed=min(snapshot.steps, line.total), snapshot=snapshot)
         if not self._console.is_terminal and snapshot.steps >= line.next_printed:
             line.next_printed += max(line.total // LINES, 1)
             whose = f"  {name}" if len(self._lines) > 1 else ""
-            self._console.print(f"{snapshot.steps:>9,} steps{whose}  {snapshot.text()}")
+            self._console.print(f"{snapshot.steps:>9,} steps{whose}  {BETWEEN.join(snapshot.parts().values())}")
 
 
 @dataclass
@@ -101,6 +134,7 @@ class _Line:
     task: TaskID
     total: int
     next_printed: int
+    next_move: float = 0.0
 
 
 def _number(value: float | None, layout: str) -> str:

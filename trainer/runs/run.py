@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.table import Table
+from stable_baselines3.common.vec_env import VecEnv
 
+from trainer.activity import doing
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.corridor import DEFAULT_PENALTY, corridor_of, is_corridor
 from trainer.curriculum import Curricula
@@ -30,6 +32,8 @@ from trainer.runs.estimates import with_estimates
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
 from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
+from trainer.runs.next_steps import next_steps
+from trainer.runs.opened_players import opened
 from trainer.runs.run_state import Resumed, resumed_from
 from trainer.runs.scene_run import LearnedScene, evaluate_scene_run, is_of_scene, learn_scene, report_scene
 from trainer.runs.training import load_trained, train
@@ -123,7 +127,7 @@ def _learn(
     if checkpoint is not None and is_of_scene(checkpoint):
         curricula.load_state_dict(checkpoint.part("curricula"))
     logs = PlayerLogs(drafted.logs, stay=False)
-    with open_players(
+    opening = open_players(
         config,
         logs,
         connection,
@@ -132,7 +136,8 @@ def _learn(
         lives=so_far.lives,
         states=so_far.states,
         curricula=curricula,
-    ) as players:
+    )
+    with opened(opening, config) as players:
         if isinstance(players, Scene):
 
             def begin_scene(agents: int) -> None:
@@ -167,8 +172,14 @@ def _learn(
         finished = train(config, folder, stages, players, counters, begin, checkpoint)
         evaluated = None
         if finished and not can_be_launched(config.env):
-            evaluated = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
+            evaluated = _play(stages, players, episodes)
         return _Learned(finished, stages, counters, so_far.counters, players.behavior, evaluated)
+
+
+def _play(stages: Stages, players: VecEnv, episodes: int) -> list[Episode]:
+    with doing(f"Playing the evaluation's {episodes} episodes", episodes) as tell:
+        played = evaluate(stages.model, stages.normaliser, players, episodes, tell=tell)
+    return with_estimates(stages, played)
 
 
 def _evaluate(
@@ -187,8 +198,7 @@ def _evaluate(
         seed = evaluation_seed(config.seed)
         logs = PlayerLogs(folder.evaluation_logs)
         with _evaluation_players(config, logs, connection, limits) as players:
-            stages = learned.stages
-            played = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
+            played = _play(learned.stages, players, episodes)
     evaluation = Trajectories(learned.behavior, seed, learned.counters.env_steps, played)
     _save_evaluation(config, folder, evaluation)
     return evaluation
@@ -215,11 +225,14 @@ def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation:
             "exchange_share": exchange,
         }
     )
-    save_learning_curve(folder.read_progress(), _title(config), folder.learning_curve)
+    with doing("Drawing the learning curve"):
+        save_learning_curve(folder.read_progress(), _title(config), folder.learning_curve)
     if evaluation is None:
         Terminal().print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.")
     else:
         _show_evaluation(config, folder, evaluation)
+        export = config.algo != "ddpg"  # whose actor is no network from observations to actions alone
+        Terminal().print(next_steps(folder, replay=is_corridor(evaluation.behavior), export=export))
 
 
 def evaluate_run(
@@ -268,7 +281,7 @@ def play_episodes(
         counters = load_trained(config, folder, stages, checkpoint)
         draft.publish()
         logs.folder, logs.stay = folder.evaluation_logs, True
-        played = with_estimates(stages, evaluate(stages.model, stages.normaliser, players, episodes))
+        played = _play(stages, players, episodes)
     return Trajectories(players.behavior, evaluation_seed(config.seed), counters.env_steps, played)
 
 
@@ -321,7 +334,7 @@ def _say_who_came(asked: int, came: int) -> None:
 def _evaluation_players(
     config: RunConfig, logs: PlayerLogs, connection: ConnectionOptions, limits: RestartLimits
 ) -> AbstractContextManager[Players]:
-    return open_slots(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits)
+    return opened(open_slots(config, logs, connection, seed=evaluation_seed(config.seed), limits=limits), config)
 
 
 def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
@@ -330,7 +343,8 @@ def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
     if is_corridor(evaluation.behavior):
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
         corridor = corridor_of(config.penalty, config.environment_parameters)
-        save_episode_paths(shown, _title(config), folder.episode_paths, corridor)
+        with doing("Drawing an episode"):
+            save_episode_paths(shown, _title(config), folder.episode_paths, corridor)
 
 
 def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajectories) -> None:
@@ -347,6 +361,8 @@ def _show_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
 def _reported(episodes: list[Episode], measure: str) -> str:
     """What stands in the place of a measure that has no value."""
     unknown = unreported(episodes, measure)
+    if measure == "mean_success_length" and not unreported(episodes, "success_rate"):
+        return "no successes"
     return f"unknown for {unknown} of {len(episodes)}" if 0 < unknown < len(episodes) else "not reported"
 
 

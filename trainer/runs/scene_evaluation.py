@@ -1,6 +1,6 @@
 """Evaluation of whatever a scene has: whole episodes of every behavior, without learning."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +39,7 @@ def evaluate_scene(
     episodes: int,
     most_steps: int = MOST_STEPS,
     most_length: int = MOST_LENGTH,
+    tell: Callable[[int], None] = lambda played: None,
 ) -> dict[str, list[PlayedEpisode]]:
     """Plays with the policies as they are.
 
@@ -50,6 +51,7 @@ def evaluate_scene(
         episodes: How many of each behavior.
         most_steps: Agent steps after which to stop.
         most_length: Of one episode, after which no other of its behavior is waited for.
+        tell: Told how many episodes have ended of the behavior that has fewest, after every message.
 
     Returns:
         By behavior, without teams: the episodes in the order in which they began.
@@ -60,6 +62,7 @@ def evaluate_scene(
     messages = scene.reset()
     while True:
         tally.count(messages)
+        tell(tally.fewest)
         learners.take(messages)
         if tally.is_complete or tally.steps >= most_steps:
             return tally.played()
@@ -85,6 +88,11 @@ class _Tally:
         return bool(self._ended) and all(
             len(each) >= self._wanted or name in self._endless for name, each in self._ended.items()
         )
+
+    @property
+    def fewest(self) -> int:
+        """How many episodes have ended, of those that count, of the behavior that has fewest."""
+        return min(map(len, self._ended.values()), default=0)
 
     def count(self, messages: Sequence[Message]) -> None:
         """Takes what the players' agents say."""

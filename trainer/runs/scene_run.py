@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
+from trainer.activity import doing
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
 from trainer.curriculum import Curricula
 from trainer.drafts import Draft
@@ -20,6 +21,8 @@ from trainer.runs.checkpoint import Checkpoint
 from trainer.runs.counters import Counters
 from trainer.runs.figures import save_learning_curve
 from trainer.runs.folder import RunFolder
+from trainer.runs.next_steps import next_steps
+from trainer.runs.opened_players import opened
 from trainer.runs.scene_evaluation import PlayedEpisode, evaluate_scene, summarise_scene
 from trainer.runs.scene_training import SceneTraining
 from trainer.seeds import evaluation_seed
@@ -77,7 +80,7 @@ def learn_scene(
     finished = training.train(begin)
     played = None
     if finished and not can_be_launched(config.env):
-        played = evaluate_scene(training.learners, scene, episodes)
+        played = _play(training.learners, scene, episodes)
     return LearnedScene(finished, training, counters, before, played)
 
 
@@ -96,18 +99,26 @@ def report_scene(
     """
     played, training = learned.played, learned.training
     if learned.finished and played is None:
-        played = _play(config, folder, connection, limits, episodes, training)
+        played = _play_anew(config, folder, connection, limits, episodes, training)
     _write_summary(config, folder, learned, played)
     for name, _ in training.learners:
         own = folder.behavior(name, only=training.is_only(name))
-        save_learning_curve(own.read_progress(), f"{config.run_id}: {name}", own.learning_curve)
+        with doing(f"Drawing {name}'s learning curve"):
+            save_learning_curve(own.read_progress(), f"{config.run_id}: {name}", own.learning_curve)
     if played is None:
         Terminal().print(f"Stopped at {learned.counters.env_steps:,} steps and saved; go on with --resume.")
     else:
         show_played(config, folder, played)
+        Terminal().print(next_steps(folder, replay=False, export=True))
 
 
-def _play(
+def _play(learners: BehaviorLearners, scene: Scene, episodes: int) -> Played:
+    each = f"Playing the evaluation's {episodes} episodes of each behavior"
+    with doing(each if len(list(learners)) > 1 else f"Playing the evaluation's {episodes} episodes", episodes) as tell:
+        return evaluate_scene(learners, scene, episodes, tell=tell)
+
+
+def _play_anew(
     config: RunConfig,
     folder: RunFolder,
     connection: ConnectionOptions,
@@ -117,9 +128,10 @@ def _play(
 ) -> Played:
     logs = PlayerLogs(folder.evaluation_logs)
     seed, curricula = evaluation_seed(config.seed), training.curricula
-    with open_players(config, logs, connection, seed=seed, limits=limits, curricula=curricula) as players:
+    opening = open_players(config, logs, connection, seed=seed, limits=limits, curricula=curricula)
+    with opened(opening, config) as players:
         assert isinstance(players, Scene)
-        return evaluate_scene(training.learners.on(players), players, episodes)
+        return _play(training.learners.on(players), players, episodes)
 
 
 def is_of_scene(checkpoint: Checkpoint) -> bool:
@@ -143,7 +155,8 @@ def evaluate_scene_run(
     logs = PlayerLogs(RunFolder(draft.path).evaluation_logs, stay=False)
     curricula = Curricula(config.environment_parameters)
     curricula.load_state_dict(checkpoint.part("curricula"))
-    with open_players(config, logs, connection, seed=evaluation_seed(config.seed), curricula=curricula) as players:
+    opening = open_players(config, logs, connection, seed=evaluation_seed(config.seed), curricula=curricula)
+    with opened(opening, config) as players:
         if not isinstance(players, Scene):
             raise TrainerError(
                 f"The player has the corridor alone, but {config.run_id} was trained on other behaviors."
@@ -152,7 +165,7 @@ def evaluate_scene_run(
         learners.restore(checkpoint, to_play=True)
         draft.publish()
         logs.folder, logs.stay = folder.evaluation_logs, True
-        show_played(config, folder, evaluate_scene(learners, players, episodes))
+        show_played(config, folder, _play(learners, players, episodes))
 
 
 def _write_summary(config: RunConfig, folder: RunFolder, learned: LearnedScene, played: Played | None) -> None:

@@ -63,6 +63,7 @@ class SceneTraining:
         self._random = RandomStreams()
         self._writer = CheckpointWriter(folder.checkpoints)
         self._logs: dict[str, BehaviorLog] = {}
+        self._lines: dict[str, str] = {}  # of the display
         self._lesson_returns: dict[str, list[float]] = {}  # of episodes since the last change of a lesson
         self._statistics: dict[str, list[float]] = {}  # of the players, since a row was written
         self._messages = scene.reset()
@@ -94,6 +95,7 @@ class SceneTraining:
         with ProgressDisplay() as display, StopSignals() as signals:
             try:
                 while True:
+                    self._show(display)
                     counters.env_steps, counters.episodes = learners.steps, learners.episodes
                     counters.wall_seconds = earlier.wall_seconds + time.monotonic() - started
                     counters.exchange_seconds = earlier.exchange_seconds + scene.exchange_seconds
@@ -233,19 +235,25 @@ class SceneTraining:
             for log in self._logs.values():
                 log.close()
 
+    def _show(self, display: ProgressDisplay) -> None:
+        """Shows how many steps every behavior has taken, which may be long before it learns from them."""
+        for name, learner in self.learners:
+            if name not in self._lines:
+                self._lines[name] = self._config.run_id if self.is_only(name) else name
+                display.add(self._lines[name], learner.settings.max_steps, learner.steps)
+            display.move(self._lines[name], learner.steps)
+
     def _report(self, display: ProgressDisplay) -> None:
         """Shows every behavior's progress, and logs a row where it is time to."""
         for name, learner in self.learners:
-            log, only = self._logs.get(name), self.is_only(name)
-            line = self._config.run_id if only else name
+            log = self._logs.get(name)
             if log is None:
-                path = self._folder.behavior(name, only).path
+                path = self._folder.behavior(name, self.is_only(name)).path
                 self._logs[name] = log = BehaviorLog(path, self._before.get(name, 0), learner.settings.summary_freq)
-                display.add(line, learner.settings.max_steps, learner.steps)
             if learner.learned == log.learned:
                 continue
             log.learned = learner.learned
-            display.update(line, log.snapshot(learner))
+            display.update(self._lines[name], log.snapshot(learner))
             if log.is_due(learner):
                 statistics = {key: float(np.mean(each)) for key, each in self._reported().items() if each}
                 lessons = {f"Environment/Lesson Number/{key}": n for key, n in self.curricula.numbers.items()}

@@ -3,10 +3,15 @@
 import time
 from types import TracebackType
 
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import Progress, Task
+from rich.text import Text
 
+from trainer.activity import OneLine, bar, percent
 from trainer.studies.executors import Update
 from trainer.terminal import Terminal
+
+# What there should be room for first.
+MATTERS = ("share", "left", "done", "running", "bar", "name")
 
 
 class StudyDisplay:
@@ -26,13 +31,19 @@ class StudyDisplay:
         self._ended = 0
         self._started = time.monotonic()
         self._bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=32),
-            TextColumn("{task.fields[text]}", markup=False),
-            console=console,
-            disable=not console.is_terminal,
+            OneLine(console, self._parts, lambda task: MATTERS), console=console, disable=not console.is_terminal
         )
-        self._task = self._bar.add_task(name, total=max(missing * steps, 1), text="")
+        self._task = self._bar.add_task(name, total=max(missing * steps, 1), done=total - missing, running=0, left="")
+
+    def _parts(self, task: Task) -> dict[str, str | Text]:
+        return {
+            "name": task.description,
+            "share": percent(task),
+            "bar": bar(task, self._console),
+            **({"left": task.fields["left"]} if task.fields["left"] else {}),
+            "done": f"{task.fields['done']}/{self._total} runs done",
+            "running": f"{task.fields['running']} running",
+        }
 
     def __enter__(self) -> "StudyDisplay":
         before = self._total - self._missing
@@ -57,16 +68,15 @@ class StudyDisplay:
             done = self._total - self._missing + self._ended
             begin = f"{done}/{self._total} {outcome.run_id}"
             if outcome.error is None:
-                self._console.print(f"{begin} finished{left}")
+                self._console.print(f"{begin} finished{left and f', {left}'}")
             else:
-                self._console.print_failure(f"{begin} failed:", f"{outcome.error}{left}")
+                self._console.print_failure(f"{begin} failed:", f"{outcome.error}{left and f', {left}'}")
         done = self._total - self._missing + self._ended
-        text = f"{done}/{self._total} runs done, {update.running} running{left}"
-        self._bar.update(self._task, completed=taken, text=text)
+        self._bar.update(self._task, completed=taken, done=done, running=update.running, left=left)
 
     def _left(self, taken: int) -> str:
         if not taken:
             return ""
         seconds = (time.monotonic() - self._started) * (self._missing * self._steps / taken - 1.0)
         minutes = round(seconds / 60)
-        return f", about {minutes} min left" if minutes else ", less than a minute left" if seconds > 1 else ""
+        return f"about {minutes} min left" if minutes else "less than a minute left" if seconds > 1 else ""

@@ -18,11 +18,12 @@ from gymnasium import spaces
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.progress import Progress
+from rich.table import Table
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from corridor_server.corridor import observation as layout
+from trainer.activity import doing
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.corridor import corridor_of
 from trainer.drafts import Draft, written
@@ -256,9 +257,8 @@ def run_generalise(
     tried = [panels(config) for config in configs]
     shown = [panel for panel in tried[0] if all(panel.title in [each.title for each in others] for others in tried)]
     cells: list[list[list[Cell]]] = []
-    with Progress(console=console, disable=not console.is_terminal) as progress:
-        total = len(folders) * sum(len(row) for panel in shown for row in panel.changes)
-        task = progress.add_task("generalise", total=total)
+    played, total = 0, len(folders) * sum(len(row) for panel in shown for row in panel.changes)
+    with doing("Playing in changed corridors", total) as tell:
         for index, panel in enumerate(shown):
             cells.append([])
             for i, row in enumerate(panel.changes):
@@ -268,7 +268,7 @@ def run_generalise(
                     for folder, config, own in zip(folders, configs, tried, strict=True):
                         own_change = own[index].changes[i][j]
                         evaluations.append(play(folder, config, own_change, episodes, timeout_wait))
-                        progress.advance(task)
+                        tell(played := played + 1)
                     cells[-1][-1].append(Cell(panel.title, change, evaluations))
 
     report = _report(shown, cells, [config.run_id for config in configs], episodes, command)
@@ -277,8 +277,17 @@ def run_generalise(
         _write_cells(cells, draft.path / "cells.csv")
         (draft.path / "report.md").write_text(report, encoding="utf-8")
     draft.publish()
-    console.print(report)
+    _show(shown, cells, console)
     console.print(f"Report: {target / 'report.md'}")
+
+
+def _show(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]], console: Terminal) -> None:
+    console.print("Shares of episodes: success, below it opponent contact, below that wall contact.")
+    for panel, grid in zip(shown, cells, strict=True):
+        table = Table(_corner(panel), *(cell.change.column for cell in grid[0]), title=panel.title, show_lines=True)
+        for row in grid:
+            table.add_row(row[0].change.row, *("\n".join(_shares(cell)) for cell in row))
+        console.print(table, soft_wrap=False)
 
 
 def heat_maps(shown: Sequence[Panel], cells: Sequence[Sequence[Sequence[Cell]]]) -> Figure:
@@ -340,13 +349,20 @@ def _report(
         "",
     ]
     for panel, grid in zip(shown, cells, strict=True):
-        head = [f"{panel.rows} \\ {panel.columns}" if panel.rows else panel.columns]
-        head += [cell.change.column for cell in grid[0]]
+        head = [_corner(panel), *(cell.change.column for cell in grid[0])]
         lines += [f"## {panel.title}", "", "Success / opponent contact / wall contact, shares of episodes.", ""]
         lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
         for row in grid:
-            shares = [[cell.estimate(measure).value for measure in MEASURES[:3]] for cell in row]
-            numbers = [" / ".join(f"{share:.2f}" for share in each) for each in shares]
+            numbers = [" / ".join(_shares(cell)) for cell in row]
             lines.append(f"| {' | '.join([row[0].change.row, *numbers])} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _corner(panel: Panel) -> str:
+    return f"{panel.rows} \\ {panel.columns}" if panel.rows else panel.columns
+
+
+def _shares(cell: Cell) -> list[str]:
+    """Success, opponent contact and wall contact."""
+    return [f"{cell.estimate(measure).value:.2f}" for measure in MEASURES[:3]]

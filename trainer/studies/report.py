@@ -13,7 +13,7 @@ from rich.text import Text
 
 from trainer.studies import plots
 from trainer.studies.bootstrap import Estimate, interval
-from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS
+from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS, MINIMUM
 from trainer.studies.executors import RunOutcome
 from trainer.studies.plan import Study
 from trainer.studies.results import RunResult, scores, steps_to
@@ -35,11 +35,13 @@ COLUMNS = (
     ("episode length", "mean_episode_length", 0, 1.0),
     ("length of successes", "mean_success_length", 0, 1.0),
     ("opponent contact", "opponent_contact_rate", 2, 1.0),
+    ("wall contact", "wall_contact_rate", 2, 1.0),
     ("thousand steps to 50%", "steps_to_50_success", 0, 1e-3),
     ("thousand steps to 90%", "steps_to_90_success", 0, 1e-3),
     ("minutes of learning", "wall_seconds", 1, 1 / 60),
 )
 IN_TERMINAL = (0, 1, 2, 5, 6)
+VERDICTS = {True: Text("yes", "green"), False: Text("no", "red"), None: Text("not decided", "yellow")}
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class Report:
             cells = [arm.label, str(len(runs))]
             for _, measure, digits, factor in shown:
                 estimate = estimates[measure]
-                cell = "-"
+                cell = "no successes" if measure == "mean_success_length" and runs else "-"
                 if estimate is not None:
                     value, low, high = (
                         f"{number * factor:,.{digits}f}" for number in (estimate.value, estimate.low, estimate.high)
@@ -140,8 +142,7 @@ class Report:
         if self.study.claims:
             table = Table("claim", "holds", "evidence", title=f"{self.study.title}", show_lines=True)
             for claim in self.claims():
-                holds = Text("yes", "green") if claim["holds"] else Text("no", "red")
-                table.add_row(f"{claim['id']} {claim['statement']}", holds, claim["evidence"])
+                table.add_row(f"{claim['id']} {claim['statement']}", VERDICTS[claim["holds"]], claim["evidence"])
             console.print(table, soft_wrap=False)
         head, *rows = self.table("\n", IN_TERMINAL)
         table = Table(*head, show_lines=True, title="Interquartile means over seeds, with 95% intervals")
@@ -233,11 +234,12 @@ class Report:
             return []
         rows = [["", "claim", "holds", "evidence"]]
         for claim in claims:
-            rows.append([claim["id"], claim["statement"], "yes" if claim["holds"] else "**no**", claim["evidence"]])
+            verdict = {True: "yes", False: "**no**", None: "not decided"}[claim["holds"]]
+            rows.append([claim["id"], claim["statement"], verdict, claim["evidence"]])
         lines = ["## Claims of the paper", "", *_markdown_table(rows)]
-        lines += ["", "What decides each, fixed before the runs:", ""]
+        lines += ["", f"What decides each, fixed before the runs, where there are {MINIMUM}:", ""]
         lines += [f"- {claim['id']}: {claim['measure']}." for claim in claims]
-        if not all(claim["holds"] for claim in claims):
+        if any(claim["holds"] is False for claim in claims):
             lines += ["", "What a claim that does not hold depends on is what `corridor study dose-response` shows."]
         return lines
 

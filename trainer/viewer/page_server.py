@@ -57,13 +57,14 @@ NO_TOKEN = "The address has no token; open the whole address that 'corridor watc
 OTHER_TOKEN = "This is another 'corridor watch' than the page's; open the address that it printed."
 
 
-def watch(results_dir: Path, port: int, console: Terminal) -> None:
+def watch(results_dir: Path, port: int, console: Terminal, ready: Callable[[str], None] | None = None) -> None:
     """Serves the page until Ctrl-C.
 
     Args:
         results_dir: The runs' folder; it need not exist yet.
         port: On loopback; 0 takes a free one.
         console: Told the address, which has the token in it.
+        ready: Told it, too, once the page can be opened.
 
     Raises:
         TrainerError: ``results_dir`` is a file or a run, or the port is in use or may not be opened.
@@ -78,6 +79,8 @@ def watch(results_dir: Path, port: int, console: Terminal) -> None:
         if not results_dir.exists():
             console.print(f"There is no folder {results_dir} yet; is it the right --results-dir?", style="yellow")
         console.print("Ctrl-C ends it; training goes on.")
+        if ready is not None:
+            ready(server.address)
         server.serve_forever()
     finally:
         server.server_close()

@@ -1,6 +1,6 @@
 """An episode as moving pictures, GIF and MP4: the paper's Fig. 4(b) with what the reward sees."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from corridor_server.corridor.colours import (
     Colour,
 )
 from corridor_server.corridor.drawing import WALL_THICKNESS
+from trainer.activity import doing
 from trainer.runs.evaluation import Episode
 from trainer.runs.trajectories import Trajectories
 
@@ -47,14 +48,23 @@ def save_animations(trajectories: Trajectories, scene: dict[str, Any], gif: Path
     episode = trajectories.episodes[shown["number"]]
     seconds = scene["corridor"]["decision_seconds"]
     hold = round(HOLD_SECONDS / seconds)
-    frames = list(_frames(episode, shown, scene["corridor"], 1))
+    with doing("Drawing the GIF's pictures", len(episode.observations)) as tell:
+        frames = list(_counted(_frames(episode, shown, scene["corridor"], 1), tell))
     palette = frames[len(frames) // 2].quantize(96)
     # One palette for all frames, and no dithering: what stands still costs nothing.
     still = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in [*frames, *frames[-1:] * hold]]
     still[0].save(gif, save_all=True, append_images=still[1:], duration=round(1000 * seconds), loop=0, optimize=True)
-    video = [np.asarray(frame) for frame in _frames(episode, shown, scene["corridor"], BETWEEN)]
+    with doing("Drawing the MP4's pictures", BETWEEN * len(episode.rewards) + 1) as tell:
+        pictures = _counted(_frames(episode, shown, scene["corridor"], BETWEEN), tell)
+        video = [np.asarray(frame) for frame in pictures]
     video += video[-1:] * (hold * BETWEEN)
     imageio.imwrite(mp4, np.stack(video), plugin="FFMPEG", fps=BETWEEN / seconds, quality=7, macro_block_size=2)
+
+
+def _counted(frames: Iterator[Image.Image], tell: Callable[[int], None]) -> Iterator[Image.Image]:
+    for number, frame in enumerate(frames, 1):
+        tell(number)
+        yield frame
 
 
 class _Canvas:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from trainer.activity import doing
 from trainer.config import ConnectionOptions, RunConfig
 from trainer.drafts import Draft
 from trainer.errors import TrainerError
@@ -41,7 +42,8 @@ def replay_run(
     """
     console = Terminal()
     trajectories = _trajectories(config, folder, draft, connection, checkpoint, episodes, console)
-    scene = run_scene(config, trajectories, episodes)
+    with doing("Going through the episodes again"):
+        scene = run_scene(config, trajectories, episodes)
     for note in scene["notes"]:
         console.print(note)
     name = "replay" if checkpoint is None else f"replay-step-{trajectories.env_steps}"
@@ -69,8 +71,8 @@ def _trajectories(
 ) -> Trajectories:
     if checkpoint is None and folder.trajectories.exists():
         return load_trajectories(folder.trajectories)
-    from trainer.runs.run import play_episodes  # torch takes seconds to import
-
     if checkpoint is None:
         console.print("This run has no evaluation; its newest checkpoint is played.")
+    with doing("Loading PyTorch"):
+        from trainer.runs.run import play_episodes
     return play_episodes(config, folder, draft, connection, episodes=episodes, checkpoint=checkpoint)

@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from corridor_server.shared.given import Range, read_json, shown
+from trainer.activity import doing
 from trainer.drafts import only_writer, written
 from trainer.errors import TrainerError
 from trainer.files import write_whole
@@ -78,10 +79,13 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
             raise ValueError("its seeds are no numbers of a study")
         seeds = range(int(first), int(first + count))
         facts = [record["command"], f"{record['seeds']} seeds", f"{record['steps']:,} steps per run"]
-        groups = [
-            {"name": arm["label"], "runs": [_run(folder, f"{arm['name']}-seed{seed}", episodes) for seed in seeds]}
-            for arm in arms
-        ]
+        groups, written_pages = [], 0
+        with doing("Writing the pages of runs", len(arms) * len(seeds)) as tell:
+            for arm in arms:
+                groups.append({"name": arm["label"], "runs": []})
+                for seed in seeds:
+                    groups[-1]["runs"].append(_run(folder, f"{arm['name']}-seed{seed}", episodes))
+                    tell(written_pages := written_pages + 1)
     except (ValueError, KeyError, TypeError) as error:
         raise TrainerError(f"{folder / CLAIMS} is broken ({error!r}); run 'corridor study' again.") from error
     except OSError as error:

@@ -138,11 +138,11 @@ class WatchedRuns:
         stamps = [begun, progress, summary, _stamp(folder.trajectories), _stamp(folder.checkpoints)]
         with self._lock:
             before, newest, state = self._states.get(name, (None, None, {}))
-        if before != [*stamps, None if newest is None else _stamp(newest)]:
+        if before != [*stamps, _stamp(newest) if newest else None]:
             newest = self._newest_checkpoint(folder)
             state = {**self._read_state(name, folder), "news": f"{begun} {progress}"}
             with self._lock:
-                self._states[name] = [*stamps, None if newest is None else _stamp(newest)], newest, state
+                self._states[name] = [*stamps, _stamp(newest) if newest else None], newest, state
                 while len(self._states) > 2 * LISTED:
                     self._states.pop(next(iter(self._states)))
         return {**state, "status": _status(progress, summary, state["evaluation"] is not None)}

@@ -71,6 +71,7 @@ export class CurveChart {
     if (!kept) this.build();
     this.shape = shape;
     const { view, emphasised } = drawn;
+    this.following = true; // a cursor that stays where it was on the screen is nobody's wish
     this.plot!.batch((plot: uPlot) => {
       if (kept) plot.setData(this.data(), false);
       plot.series.forEach((series, i) => {
@@ -78,6 +79,7 @@ export class CurveChart {
       });
       plot.setScale("x", view);
     });
+    this.following = false;
     this.moveCursor(this.cursor, this.tipped);
   }
 
@@ -172,6 +174,9 @@ export class CurveChart {
       this.data(),
       this.holder,
     );
+    // A finger does not move before it taps, and uPlot follows only what moves.
+    const { over } = this.plot;
+    over.addEventListener("click", (event) => this.onCursor(this.plot!.posToVal(event.clientX - over.getBoundingClientRect().left, "x")));
   }
 
   private yRange(min: number | null, max: number | null): [number, number] {

@@ -36,8 +36,8 @@ export class RunList {
         run.env_steps === null ? null : `${run.env_steps.toLocaleString("en")} steps`,
         run.success_rate === null ? null : `success ${percent(run.success_rate)}`,
         run.steps_per_second === null ? null : `${Math.round(run.steps_per_second).toLocaleString("en")} steps/s`,
-        run.c === null ? null : `c ${run.c}`,
-        run.seed === null ? null : `seed ${run.seed}`,
+        run.c === null ? null : `c\u00a0${run.c}`,
+        run.seed === null ? null : `seed\u00a0${run.seed}`,
         run.evaluation && evaluated(run.evaluation),
         run.problem,
       ].filter(Boolean).join(" · "));
