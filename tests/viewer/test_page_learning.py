@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from conftest import BIN
 from page_in_browser import compare, until
+from page_requests import address_of
 from recorded_run import recorded_run
 
 
 def start_watching(results: Path, port: int) -> tuple[subprocess.Popen[str], str]:
     command = [BIN / "corridor", "watch", "--results-dir", results, "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "500"})
-    assert process.stdout
-    return process, process.stdout.readline().split()[-1]
+    return process, address_of(process)
 
 
 def stop(process: subprocess.Popen[str]) -> None:
