@@ -91,7 +91,7 @@ def test_a_corridor_that_a_file_lists_has_its_penalty(tmp_path, free_port):
 @pytest.mark.slow
 def test_the_file_in_the_docs_trains_without_unity(train, tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "mlagents.md").read_text()
-    (text,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    text = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0]
     (tmp_path / "it.yaml").write_text(text)
     train(BIN / "corridor-server", tmp_path / "it.yaml", "--steps", 1_500, "--env-args", "--gym", "Pendulum-v1")
     settings = record(tmp_path)["behaviors"]["Pendulum-v1"]

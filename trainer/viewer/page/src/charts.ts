@@ -54,8 +54,8 @@ export class Chart {
       {
         width: Math.max(this.holder.clientWidth, 50),
         height: options.height,
-        padding: [6, 10, 0, 0],
-        scales: { x: { time: false }, y: { range: options.range ? () => options.range! : options.fromZero ? (_, __, max) => [0, 1.08 * Math.max(max, 0.3)] : undefined } },
+        padding: [6, 24, 0, 0],
+        scales: { x: { time: false }, y: { range: options.range ? () => options.range! : options.fromZero ? (_, __, max) => [0, 1.08 * Math.max(max, 0.3)] : (_, min, max) => (min == null ? [-1, 1] : uPlot.rangeNum(min, max, 0.1, true)) } },
         legend: { show: false },
         cursor: { drag: { x: false, y: false }, points: { show: !options.onSeek }, y: false, x: true },
         axes: [

@@ -205,7 +205,10 @@ export function watch(data: { token: string; results: string }, stage: Stage, li
       const present = new Set(answer.runs.map((run) => run.name));
       for (const run of answer.runs) known.set(run.name, run);
       for (const [name, run] of known)
-        if (!present.has(name)) known.set(name, { ...run, status: "gone", problem: "Its folder is gone; shown is what was read before." });
+        if (!present.has(name)) {
+          const scene = run.scene ?? scenes.get(name)?.stamp ?? null; // its files may have gone before the folder
+          known.set(name, { ...run, scene, status: "gone", problem: "Its folder is gone; shown is what was read before." });
+        }
       if (first && answer.runs.length) learning.chosen.add(answer.runs[0].name);
       const names = [...known.keys()];
       setOptions(choice, names.map((name) => [name, name]), names[0] ?? "");
