@@ -70,8 +70,7 @@ def run_bench(
         report[name] = value
         for line in lines:
             console.print(line)
-        if json_file is not None:
-            write_whole(json_file, json.dumps(report, indent=2) + "\n")
+        _keep(report, json_file)
 
     exchange: list[dict[str, Any]] = []
     for areas in workload.areas:
@@ -138,10 +137,14 @@ def run_peers(
             break
         report["peers"].append(row)
         print_peer(row, console)
-        if json_file is not None:
-            write_whole(json_file, json.dumps(report, indent=2) + "\n")
+        _keep(report, json_file)
     if plot is not None:
         plot_peers(report["peers"], plot)
+
+
+def _keep(report: dict[str, Any], json_file: Path | None) -> None:
+    if json_file is not None:
+        write_whole(json_file, json.dumps(report, indent=2) + "\n")
 
 
 def _say_slower(console: Terminal) -> None:

@@ -15,8 +15,9 @@ from trainer.runs.evaluation import Episode
 def with_estimates(stages: Stages, episodes: Sequence[Episode]) -> list[Episode]:
     """The episodes with ``values`` and ``intrinsic_rewards``, as far as the run has networks that give them.
 
-    Both come from the networks as they are now, as the actions did. DDPG's critic needs an action, so it gives no
-    value of an observation alone.
+    Both come from the networks as they are now, as the actions did. The last reward is that of the episode's own end,
+    also where curiosity has learned from the next episode's beginning in its place (``next_state``), which pays far
+    more. DDPG's critic needs an action, so it gives no value of an observation alone.
 
     Args:
         stages: Of the run, with what it has learned.

@@ -12,7 +12,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from trainer.bench.peers.corridor_arrays import CorridorArrays
+from trainer.bench.peers.peer_settings import PeerSettings
 from trainer.bench.peers.turns import Turns
+
+FOR_EVER = 10**12
 
 
 class CorridorSlots(VecEnv):
@@ -93,3 +96,33 @@ class TakeTurns(BaseCallback):
 
     def _on_step(self) -> bool:
         return not self._over
+
+
+def learn_as_sb3(ppo: Any, settings: PeerSettings, **own: Any) -> None:
+    """Learns in turns.
+
+    Args:
+        ppo: The PPO of Stable-Baselines3, or another that takes its arguments.
+        settings: What all have in common.
+        **own: Further arguments, which not all of them take.
+    """
+    corridor = CorridorArrays(settings.areas, settings.seed, settings.corridor, normalised=True)
+    sizes = [settings.hidden_size] * 2
+    model = ppo(
+        "MlpPolicy",
+        CorridorSlots(corridor),
+        learning_rate=settings.learning_rate,
+        n_steps=settings.n_steps,
+        batch_size=settings.batch_size,
+        n_epochs=settings.epochs,
+        gamma=settings.gamma,
+        gae_lambda=settings.gae_lambda,
+        clip_range=settings.clip_range,
+        ent_coef=settings.ent_coef,
+        vf_coef=settings.vf_coef,
+        max_grad_norm=settings.max_grad_norm,
+        policy_kwargs={"net_arch": {"pi": sizes, "vf": sizes}, "log_std_init": settings.log_std_init},
+        seed=settings.seed,
+        **own,
+    )
+    model.learn(FOR_EVER, callback=TakeTurns(settings.warm_up, corridor), log_interval=FOR_EVER)
