@@ -131,3 +131,8 @@ def test_a_command_reads_no_other_commands_module(started):
         "trainer.commands.typed_values",
         "trainer.commands.watch",
     }
+
+
+def test_a_run_begins_without_what_draws_its_pictures_at_the_end():
+    program = "import sys, trainer.runs.run, trainer.runs.scene_run; print('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout == "False\n"

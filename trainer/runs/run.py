@@ -30,7 +30,6 @@ from trainer.runs.checkpoint import Checkpoint, checkpoints
 from trainer.runs.counters import Counters
 from trainer.runs.estimates import with_estimates
 from trainer.runs.evaluation import Episode, evaluate, summarise, unreported
-from trainer.runs.figures import save_episode_paths, save_learning_curve
 from trainer.runs.folder import RunFolder
 from trainer.runs.next_steps import next_steps
 from trainer.runs.opened_players import opened
@@ -226,6 +225,8 @@ def _report(config: RunConfig, folder: RunFolder, learned: _Learned, evaluation:
         }
     )
     with doing("Drawing the learning curve"):
+        from trainer.runs.figures import save_learning_curve  # Matplotlib would be half a second of the run's start
+
         save_learning_curve(folder.read_progress(), _title(config), folder.learning_curve)
     if evaluation is None:
         Terminal().print(f"Stopped at {counters.env_steps:,} steps and saved; go on with --resume.")
@@ -344,6 +345,8 @@ def _save_evaluation(config: RunConfig, folder: RunFolder, evaluation: Trajector
         shown = next((episode for episode in episodes if episode.succeeded), episodes[0])
         corridor = corridor_of(config.penalty, config.environment_parameters)
         with doing("Drawing an episode"):
+            from trainer.runs.figures import save_episode_paths
+
             save_episode_paths(shown, _title(config), folder.episode_paths, corridor)
 
 

@@ -19,7 +19,6 @@ from trainer.players.scene import Scene
 from trainer.runs.behavior_learners import BehaviorLearners
 from trainer.runs.checkpoint import Checkpoint
 from trainer.runs.counters import Counters
-from trainer.runs.figures import save_learning_curve
 from trainer.runs.folder import RunFolder
 from trainer.runs.next_steps import next_steps
 from trainer.runs.opened_players import opened
@@ -104,6 +103,8 @@ def report_scene(
     for name, _ in training.learners:
         own = folder.behavior(name, only=training.is_only(name))
         with doing(f"Drawing {name}'s learning curve"):
+            from trainer.runs.figures import save_learning_curve  # Matplotlib would be half a second of the run's start
+
             save_learning_curve(own.read_progress(), f"{config.run_id}: {name}", own.learning_curve)
     if played is None:
         Terminal().print(f"Stopped at {learned.counters.env_steps:,} steps and saved; go on with --resume.")
