@@ -31,8 +31,9 @@ def test_two_players_with_samplers(tmp_path, free_port):
         "environment_parameters:\n  opponent_speed:\n    sampler_type: gaussian\n"
         "    sampler_parameters: {mean: 1, st_dev: 0.3}\n"
     )
-    options = ("--num-envs", 2, "--num-areas", 4, "--steps", 1_000, "--eval-episodes", 2, "--config", settings)
-    stopped_and_resumed(tmp_path, free_port, signal.SIGINT, 500, *options)
+    players = ("--num-envs", 2, "--num-areas", 4, "--config", settings)
+    learning = ("--preset", "case-studies", "--steps", 1_000, "--eval-episodes", 2)
+    stopped_and_resumed(tmp_path, free_port, signal.SIGINT, 500, *players, *learning)
 
 
 @pytest.mark.slow

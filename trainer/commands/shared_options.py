@@ -45,8 +45,11 @@ def open_page(address: str) -> None:
 class TrainingOptions(Options):
     """How, and how long, a run trains."""
 
-    preset: Annotated[PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET})")] = None
-    """fast: many copies of the training area at once; paper: one, through UnityToGymWrapper, as the paper did."""
+    preset: Annotated[
+        PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET}; a study has its own)")
+    ] = None
+    """fast: many copies of the training area at once; case-studies: the same, where c = 0.5 is too much, as in the
+    paper; paper: one area, through UnityToGymWrapper, as the paper did."""
     steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,})")] = None
     """How many decisions to learn from, all agents' together (agent steps); over a file's max_steps."""
     eval_episodes: Count = 200
