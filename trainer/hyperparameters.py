@@ -110,8 +110,6 @@ class CuriosityConfig(Settings):
     Attributes:
         c: Limits the intrinsic reward before it is added to the extrinsic one (the paper's curiosity ratio).
         scale: Fixed factor on eq. 6, which brings r_i to the size that the paper's values of c presuppose.
-        normalise: Divide each feature's error in eq. 6 by its running deviation, as eq. 7 does with observations: r_i
-            then keeps its size while the features change, and from seed to seed.
         feature_size: Size of the encoding phi.
         hidden_size: Units in the hidden layer of each network.
         learning_rate: Adam's.
@@ -128,7 +126,6 @@ class CuriosityConfig(Settings):
     SECTION: ClassVar = "curiosity"
     c: Ratio = 0.3
     scale: Positive = 1.5
-    normalise: bool = False
     feature_size: Units = 32
     hidden_size: Units = 64
     learning_rate: Positive = 1e-3

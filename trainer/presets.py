@@ -1,8 +1,7 @@
 """What a run begins as, before anything else is asked for."""
 
 import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from trainer.config import PresetName, RunConfig
@@ -14,32 +13,22 @@ CURIOSITY_RATIO = 0.3  # what the case studies have
 
 @dataclass(frozen=True)
 class Preset:
-    """A way to train.
-
-    Attributes:
-        num_areas: In each player.
-        through_gym: Whether ``UnityToGymWrapper`` is between player and trainer.
-        ppo: Its hyperparameters.
-        curiosity: Its hyperparameters.
-        corridor: What its corridor has differently from ``CORRIDOR``.
-    """
+    """A way to train: how many areas, over which path, with which hyperparameters."""
 
     num_areas: int
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
-    corridor: Mapping[str, float] = field(default_factory=dict)
 
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # What lies between c = 0.3 and c = 0.5 in the paper's figures (docs/threshold.md).
+    # Twice the r_i, of an encoder that changes: what the studies' runs were made with (docs/calibration.md).
     "case-studies": Preset(
         num_areas=128,
         through_gym=False,
-        ppo=PPOConfig(gamma=0.93),
-        curiosity=CuriosityConfig(scale=0.165, normalise=True),
-        corridor={"goal_x": 8.0},
+        ppo=PPOConfig(),
+        curiosity=CuriosityConfig(scale=3.0, encoder_rate=0.01, rnd_scale=1.8),
     ),
     # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
     # of fast's steps in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had
@@ -90,7 +79,7 @@ def preset_run(
     """
     chosen, given = base or PRESETS[preset], environment_parameters or {}
     both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
-    corridor = {name: value for name, value in {**CORRIDOR, **chosen.corridor}.items() if name not in both_ends}
+    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
     return RunConfig(
         run_id=run_id,
         env=env,

@@ -113,33 +113,6 @@ def test_the_gradient_is_autograds(action_space):
     assert rewards == pytest.approx(0.5 * error.detach().square().sum(dim=1).numpy(), rel=1e-5)
 
 
-def test_normalised_each_features_error_is_in_units_of_its_running_deviation():
-    plain, icm = (module(3, encoder_rate=1.0, normalise=normalise) for normalise in (False, True))
-    rng = np.random.default_rng(0)
-    steps = [(*rng.normal(size=(2, 32, 3)), rng.normal(size=(32, 2))) for _ in range(3)]
-    batches = [tuple(each.astype(np.float32) for each in (s, a, s_next)) for s, s_next, a in steps]
-    for each in batches:
-        assert plain.learn(*each) == icm.learn(*each)  # what is learned is the same, in the features' own units
-    s, a, s_next = batches[0]
-    _, phi = icm.encoder(s)
-    _, predicted = icm.forward_model(np.concatenate((phi, a), axis=1))
-    errors = predicted - icm.encoder(s_next)[1]
-    assert icm.intrinsic_reward(s, a, s_next) == pytest.approx(
-        0.5 * (np.square(errors) / icm.features.var).sum(axis=1), rel=1e-4
-    )
-    assert plain.features is None
-
-
-def test_the_running_deviation_is_that_of_all_features_that_were_learned_from():
-    icm, rng = module(3, encoder_rate=1e-9, normalise=True), np.random.default_rng(0)
-    batches = rng.normal(2.0, 3.0, size=(4, 64, 3)).astype(np.float32)
-    actions = np.zeros((64, 2), np.float32)
-    for s_next in batches:
-        icm.learn(np.zeros((64, 3), np.float32), actions, s_next)
-    _, seen = icm.encoder(batches.reshape(-1, 3))
-    assert icm.features.var == pytest.approx(seen.var(axis=0), rel=1e-3)
-
-
 def test_adam_is_torchs():
     ours, weights = Adam(3), torch.tensor([1.0, -2.0, 3.0], requires_grad=True)
     ours.parameters[:] = weights.detach().numpy()
@@ -221,25 +194,6 @@ def test_what_is_saved_has_learned_from_every_whole_update():
     assert saved["random"] == learned["random"]
     assert saved["metrics"] == learned["metrics"]
     assert np.array_equal(saved["parameters"], learned["parameters"])
-
-
-@pytest.mark.parametrize("config", [{}, {"normalise": True}])
-def test_what_was_saved_goes_on_as_if_it_had_never_stopped(config):
-    uncut, saved = (Curiosity(Counting(), CuriosityConfig(**config), 4, seed=0) for _ in range(2))
-    resumed = Curiosity(Counting(), CuriosityConfig(**config), 4, seed=7)
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (24, 2, 2)).astype(np.float32)
-    for stage in (uncut, saved):
-        stage.reset()
-    for each in actions[:12]:
-        uncut.step(each)
-        saved.step(each)
-    resumed.venv.reset()
-    resumed.venv.steps[:] = saved.venv.steps
-    resumed.load_state_dict(saved.state_dict())
-    resumed.episodes.load_state_dict(saved.episodes.state_dict())
-    for each in actions[12:]:
-        assert np.array_equal(uncut.step(each)[1], resumed.step(each)[1])
 
 
 def test_what_is_seen_again_and_again_stops_being_rewarding():

@@ -23,7 +23,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from trainer.errors import TrainerError
 from trainer.learning.deferring import Deferring
-from trainer.learning.normaliser import RunningStatistics
+from trainer.learning.normaliser import ObservationStatistics
 from trainer.learning.stages import build_stages
 from trainer.runs.logs import PROGRESS_COLUMNS
 
@@ -280,7 +280,7 @@ def test_what_was_deferred_is_done_even_if_the_actions_cant_be_sent():
 
 @pytest.mark.parametrize(("rows", "kind"), [(1, np.float32), (64, np.float32), (1000, np.float32), (64, np.float64)])
 def test_the_normalisers_statistics_are_sb3s_to_the_bit(rows, kind):
-    ours, theirs, generator = RunningStatistics(shape=(13,)), RunningMeanStd(shape=(13,)), np.random.default_rng(0)
+    ours, theirs, generator = ObservationStatistics(shape=(13,)), RunningMeanStd(shape=(13,)), np.random.default_rng(0)
     for _ in range(20):
         observations = generator.normal(3.0, 2.0, (rows, 13)).astype(kind)
         ours.update(observations), theirs.update(observations)

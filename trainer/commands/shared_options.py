@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trainer.runs.folder import RunFolder
 
 PRESET: PresetName = "fast"
+STUDIED: PresetName = "case-studies"
 ResultsDir = Annotated[Path, tyro.conf.arg(help="Where runs are kept.")]
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 OpenPage = Annotated[bool, tyro.conf.arg(help="Open the page in the browser.", help_behavior_hint="")]
@@ -46,10 +47,10 @@ class TrainingOptions(Options):
     """How, and how long, a run trains."""
 
     preset: Annotated[
-        PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET}; a study has its own)")
+        PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET}; of studies {STUDIED})")
     ] = None
-    """fast: many copies of the training area at once; case-studies: the same, where c = 0.5 is too much, as in the
-    paper; paper: one area, through UnityToGymWrapper, as the paper did."""
+    """fast: many copies of the training area at once; case-studies: the same with twice the r_i, for studies of it;
+    paper: one area, through UnityToGymWrapper, as the paper did."""
     steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,})")] = None
     """How many decisions to learn from, all agents' together (agent steps); over a file's max_steps."""
     eval_episodes: Count = 200

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from corridor_server.shared.given import Range
-from trainer.commands.shared_options import TrainingOptions
+from trainer.commands.shared_options import STUDIED, TrainingOptions
 from trainer.config import PAPER_STEPS, RESULTS, ExecutorName, WaitOptions
 from trainer.errors import TrainerError
 from trainer.options import Count, Options
@@ -73,7 +73,7 @@ class StudyOptions(Options):
                 studies[self.name],
                 executor,
                 store,
-                preset=self.training.preset,
+                preset=self.training.preset or STUDIED,
                 seeds=range(self.first_seed, self.first_seed + self.seeds),
                 steps=self.training.steps or PAPER_STEPS,
                 episodes=self.training.eval_episodes,
@@ -114,7 +114,7 @@ class Algorithms(StudyOptions):
 
 @dataclass(frozen=True)
 class DoseResponse(StudyOptions):
-    """What the claims depend on: c from 0 to 1; gamma, with and without the penalty, with and without curiosity."""
+    """What the claims depend on: c from 0 to 2; gamma, with and without the penalty, with and without curiosity."""
 
     name: ClassVar = "dose-response"
 

@@ -1,8 +1,5 @@
 """The intrinsic curiosity module of Fig. 2 (ref. [12]): what the agent can't predict of its own doing is rewarding."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -10,9 +7,6 @@ from numpy.typing import NDArray
 from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.kernels import Singles
 from trainer.learning.networks import Network, joined
-from trainer.learning.normaliser import RunningStatistics
-
-_SMALLEST_VARIANCE = 1e-8
 
 
 class IntrinsicCuriosityModule:
@@ -23,9 +17,6 @@ class IntrinsicCuriosityModule:
         action_space: Box (the inverse model's error is squared) or Discrete (cross-entropy).
         config: Sizes, weights and learning rate.
         generator: Draws the initial weights.
-
-    Attributes:
-        features: Running mean and variance of what is encoded, (features,) float64 each; None if eq. 6 is as it stands.
 
     Raises:
         ValueError: The action space is of another kind.
@@ -55,12 +46,9 @@ class IntrinsicCuriosityModule:
         self._forward_weight = np.float32(config.forward_weight)
         self.adam.factors[: self.encoder.size] = config.encoder_rate
         self._rate = config.learning_rate
-        self.features = RunningStatistics(shape=(self._features,)) if config.normalise else None
 
     def intrinsic_reward(self, observations: Singles, actions: Singles, next_observations: Singles) -> Singles:
         """r_i of eq. 6, (n,): half the squared distance between predicted and actual features.
-
-        With ``normalise``, each feature is in units of its running deviation.
 
         Args:
             observations: (n, observation size).
@@ -71,26 +59,19 @@ class IntrinsicCuriosityModule:
         _, features = self.encoder(np.concatenate((observations, next_observations)))
         _, predicted = self.forward_model(np.concatenate((features[:count], self._inputs(actions)), axis=1))
         predicted -= features[count:]
-        if self.features is not None:
-            predicted /= np.sqrt(self.features.var + _SMALLEST_VARIANCE).astype(np.float32)
         reward: Singles = np.float32(0.5) * np.einsum("ij,ij->i", predicted, predicted)
         return reward
 
     def differentiate(
         self, observations: Singles, actions: Singles, next_observations: Singles
     ) -> tuple[np.float32, np.float32]:
-        """Fills in the gradient of the weighted sum of both models' mean errors; returns the two means.
-
-        What it encodes on the way counts for ``features``.
-        """
+        """Fills in the gradient of the weighted sum of both models' mean errors; returns the two means."""
         count, size = len(observations), self._features
         taken = self._inputs(actions)
         both = np.concatenate((observations, next_observations))
         given, features = self.encoder(both)
         inverse_inputs = np.concatenate((features[:count], features[count:]), axis=1)
         inverse_given, guessed = self.inverse_model(inverse_inputs)
-        if self.features is not None:
-            self.features.update(features[count:])
         forward_inputs = np.concatenate((features[:count], taken), axis=1)
         forward_given, predicted = self.forward_model(forward_inputs)
 
@@ -113,24 +94,6 @@ class IntrinsicCuriosityModule:
         forward_loss, inverse_loss = self.differentiate(observations, actions, next_observations)
         self.adam.descend(self._rate)
         return {"forward_loss": float(forward_loss), "inverse_loss": float(inverse_loss)}
-
-    def state_dict(self) -> dict[str, NDArray[Any]]:
-        """What it has learned: weights, Adam's moments, and ``features``' statistics, if it has them."""
-        state: dict[str, NDArray[Any]] = dict(self.adam.state_dict())
-        if self.features is not None:
-            state |= {f"features_{name}": value for name, value in self.features.state_dict().items()}
-        return state
-
-    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes over what ``state_dict`` gave.
-
-        Raises:
-            KeyError: Something is missing.
-            ValueError: An array is of another size.
-        """
-        self.adam.load_state_dict(state)
-        if self.features is not None:
-            self.features.load_state_dict({name: state[f"features_{name}"] for name in self.features.state_dict()})
 
     def _inputs(self, actions: Singles) -> Singles:
         if not self._choices:

@@ -13,7 +13,7 @@ from trainer.errors import TrainerError
 OBSERVATION_CLIP = 10.0
 
 
-class RunningStatistics(RunningMeanStd):
+class ObservationStatistics(RunningMeanStd):
     """``RunningMeanStd``: the same numbers to the bit, without the checks of ``np.mean`` and ``np.var``."""
 
     def update(self, arr: NDArray[Any]) -> None:
@@ -21,18 +21,6 @@ class RunningStatistics(RunningMeanStd):
         count = arr.dtype.type(len(arr))
         mean = np.add.reduce(arr, axis=0) / count
         self.update_from_moments(mean, np.add.reduce(np.square(arr - mean), axis=0) / count, len(arr))
-
-    def state_dict(self) -> dict[str, NDArray[np.float64]]:
-        """``mean`` and ``var``, (size,), and ``count``; views where they can be."""
-        return {"mean": self.mean, "var": self.var, "count": np.array(self.count, np.float64)}
-
-    def load_state_dict(self, state: Mapping[str, NDArray[np.float64]]) -> None:
-        """Takes over what ``state_dict`` gave.
-
-        Raises:
-            KeyError: Something is missing.
-        """
-        self.mean, self.var, self.count = state["mean"].copy(), state["var"].copy(), float(state["count"])
 
 
 class ObservationNormaliser(VecNormalize):
@@ -44,12 +32,12 @@ class ObservationNormaliser(VecNormalize):
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv, norm_reward=False, clip_obs=OBSERVATION_CLIP)
         shape = self.observation_space.shape or ()
-        self.obs_rms = RunningStatistics(shape=shape)  # type: ignore[assignment]  # for SB3, first a dict's
+        self.obs_rms = ObservationStatistics(shape=shape)  # type: ignore[assignment]  # for SB3, first a dict's
 
     @property
-    def statistics(self) -> RunningStatistics:
+    def statistics(self) -> RunningMeanStd:
         """Running mean and variance of the observations, (size,) float64 each."""
-        assert isinstance(self.obs_rms, RunningStatistics)  # one vector observation
+        assert isinstance(self.obs_rms, RunningMeanStd)  # one vector observation
         return self.obs_rms
 
     def normalize_obs(self, obs: Any) -> NDArray[np.float32]:
@@ -60,8 +48,9 @@ class ObservationNormaliser(VecNormalize):
         return limited
 
     def state_dict(self) -> dict[str, NDArray[np.float64]]:
-        """What ``RunningStatistics`` gives."""
-        return self.statistics.state_dict()
+        """``mean`` and ``var``, (size,), and ``count``; views where they can be."""
+        statistics = self.statistics
+        return {"mean": statistics.mean, "var": statistics.var, "count": np.array(statistics.count, np.float64)}
 
     def load_state_dict(self, state: Mapping[str, NDArray[np.float64]]) -> None:
         """Takes over what ``state_dict`` gave.
@@ -70,12 +59,13 @@ class ObservationNormaliser(VecNormalize):
             KeyError: Something is missing.
             TrainerError: The statistics are of observations of another size.
         """
-        if state["mean"].shape != self.statistics.mean.shape:
+        statistics, mean = self.statistics, state["mean"]
+        if mean.shape != statistics.mean.shape:
             raise TrainerError(
-                f"The checkpoint is for observations of {len(state['mean'])} floats, but the player's have "
-                f"{len(self.statistics.mean)}."
+                f"The checkpoint is for observations of {len(mean)} floats, but the player's have "
+                f"{len(statistics.mean)}."
             )
-        self.statistics.load_state_dict(state)
+        statistics.mean, statistics.var, statistics.count = mean.copy(), state["var"].copy(), float(state["count"])
 
     def _update_reward(self, reward: NDArray[np.float64]) -> None:
         pass

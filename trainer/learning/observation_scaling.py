@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Agents, Behavior
-from trainer.learning.normaliser import OBSERVATION_CLIP, RunningStatistics
+from trainer.learning.normaliser import OBSERVATION_CLIP, ObservationStatistics
 from trainer.learning.transitions import Observed, Singles
 
 EPSILON = 1e-8  # added to a variance, as Stable-Baselines3's ``VecNormalize`` does
@@ -26,7 +26,7 @@ class ObservationScaling:
 
     def __init__(self, behavior: Behavior, normalize: bool) -> None:
         self.statistics = {
-            index: RunningStatistics(shape=sensor.shape)
+            index: ObservationStatistics(shape=sensor.shape)
             for index, sensor in enumerate(behavior.sensors)
             if normalize and len(sensor.shape) == 1
         }

@@ -1,11 +1,9 @@
 """Random network distillation (ref. [14], section II-B): what the agent has seldom seen is rewarding."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.kernels import Singles
@@ -53,16 +51,3 @@ class RandomNetworkDistillation:
         self.predictor.differentiate(given, error)
         self.adam.descend(self._rate)
         return {"rnd_loss": loss}
-
-    def state_dict(self) -> dict[str, NDArray[Any]]:
-        """What it has learned: weights and Adam's moments of the predictor."""
-        return dict(self.adam.state_dict())
-
-    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes over what ``state_dict`` gave.
-
-        Raises:
-            KeyError: Something is missing.
-            ValueError: An array is of another size.
-        """
-        self.adam.load_state_dict(state)

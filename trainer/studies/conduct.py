@@ -20,7 +20,7 @@ def run_study(
     executor: Executor,
     store: Store,
     *,
-    preset: PresetName | None,
+    preset: PresetName,
     seeds: Sequence[int],
     steps: int,
     episodes: int,
@@ -34,7 +34,7 @@ def run_study(
         study: What to compare.
         executor: Where runs are executed.
         store: Where runs and report go.
-        preset: The runs' preset; None is the study's own.
+        preset: The runs' preset.
         seeds: One run of every arm for each.
         steps: Agent steps per run.
         episodes: Of each run's evaluation.
@@ -50,7 +50,6 @@ def run_study(
     """
     store.check_writable()
     executor.check()
-    preset = preset or study.preset
     planned = study.runs(preset, steps, seeds)
     configs = [planned[arm.name][index] for index in range(len(seeds)) for arm in study.arms]
     missing = [config for config in configs if store.find(config, study.name, episodes) is None]

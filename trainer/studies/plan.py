@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from trainer.config import PresetName, RunConfig
 from trainer.corridor import LEARNER_COLOUR
-from trainer.hyperparameters import Algorithm, Intrinsic
-from trainer.presets import PRESETS, preset_run
+from trainer.hyperparameters import Algorithm, Intrinsic, PPOConfig
+from trainer.presets import preset_run
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,6 @@ class Study:
         figures: Learning curves to draw.
         claims: Ids of the claims that it decides.
         doses: Dose-response curves to draw.
-        preset: Its runs', if no other is asked for.
     """
 
     name: str
@@ -101,7 +100,6 @@ class Study:
     figures: tuple[CurveFigure, ...] = ()
     claims: tuple[str, ...] = ()
     doses: tuple[DoseFigure, ...] = ()
-    preset: PresetName = "case-studies"
 
     def runs(self, preset: PresetName, steps: int, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
         """The study's runs by arm name, one per seed."""
@@ -167,15 +165,13 @@ ALGORITHMS = Study(
             {BASE.name: BLUE, **{arm.name: _COLOURS[arm.algo] for arm in _INCURIOUS}},
         ),
     ),
-    preset="fast",
 )
 
-C02, C04, C075, C1 = (Arm(f"c{c:g}", f"c = {c:g}", c) for c in (0.2, 0.4, 0.75, 1.0))
-_BY_C = (BASE, C01, C02, C03, C04, C05, C075, C1)
+_BY_C = (BASE, C01, C03, C05, *(Arm(f"c{c:g}", f"c = {c:g}", c) for c in (0.75, 1.0, 1.5, 2.0)))
 
 
 def _with_gamma(base: Arm, gamma: float) -> Arm:
-    if gamma == PRESETS[Study.preset].ppo.gamma:
+    if gamma == PPOConfig().gamma:
         return base
     c, dash, rest = base.name.partition("-")
     return dataclasses.replace(
@@ -184,7 +180,7 @@ def _with_gamma(base: Arm, gamma: float) -> Arm:
 
 
 _BY_GAMMA = {
-    line: tuple((gamma, _with_gamma(base, gamma)) for gamma in (0.9, 0.93, 0.96, 0.99))
+    line: tuple((gamma, _with_gamma(base, gamma)) for gamma in (0.95, 0.96, 0.97, 0.99))
     for line, base in (
         ("c = 0.3, with penalty", C03),
         ("c = 0.3, without penalty", NO_PENALTY),
@@ -195,7 +191,7 @@ _BY_GAMMA = {
 
 DOSE_RESPONSE = Study(
     "dose-response",
-    "What the claims depend on: the curiosity ratio from 0 to 1, and gamma with and without the penalty",
+    "What the claims depend on: the curiosity ratio from 0 to 2, and gamma with and without the penalty",
     tuple(dict.fromkeys((*_BY_C, *(arm for line in _BY_GAMMA.values() for _, arm in line)))),
     doses=(
         DoseFigure("dose-c", "Curiosity ratio", "c", {"with penalty": tuple((arm.c, arm) for arm in _BY_C)}),
