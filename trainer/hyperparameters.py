@@ -125,7 +125,7 @@ class CuriosityConfig(Settings):
 
     SECTION: ClassVar = "curiosity"
     c: Ratio = 0.3
-    scale: Positive = 1.5
+    scale: Positive = 1.25
     feature_size: Units = 32
     hidden_size: Units = 64
     learning_rate: Positive = 1e-3
@@ -134,7 +134,7 @@ class CuriosityConfig(Settings):
     forward_weight: Share = 0.2
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
-    rnd_scale: Positive = 0.9
+    rnd_scale: Positive = 0.75
 
 
 OtherConfig = A2CConfig | TRPOConfig | DDPGConfig
