@@ -109,7 +109,7 @@ def test_runs_csv_has_every_runs_curve(penalty):
 @pytest.mark.slow
 def test_another_study_uses_the_runs_that_are_there(penalty):
     store = Store(str(penalty.parent))
-    shared = [config for arm in CURIOSITY_RATIO.runs("fast", 12_000, [0]).values() for config in arm]
+    shared = [config for arm in CURIOSITY_RATIO.runs("case-studies", 12_000, [0]).values() for config in arm]
     found = {config.run_id: store.find(config, "curiosity-ratio", 4) for config in shared}
     assert found == {"c0-seed0": None, "c0.1-seed0": None, "c0.3-seed0": f"{penalty}/c0.3-seed0", "c0.5-seed0": None}
 
