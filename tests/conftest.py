@@ -213,16 +213,15 @@ def browser(request: pytest.FixtureRequest, downloads: Path) -> Iterator[Any]:
     """Headless Chromium; or Firefox, where a test is marked ``in_each_browser``; with WebGL in software."""
     from playwright.sync_api import sync_playwright
 
-    name = request.param
-    if name == "chromium" and CHROMIUM is None:
+    if request.param == "chromium" and CHROMIUM is None:
         pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
-    if name == "firefox" and not (FIREFOX and shutil.which("Xvfb")):
+    if request.param == "firefox" and not (FIREFOX and shutil.which("Xvfb")):
         pytest.skip("Firefox or Xvfb is not installed (Debian: apt-get install firefox-esr xvfb)")
     with contextlib.ExitStack() as stack:
-        if name == "firefox":
+        if request.param == "firefox":
             display = stack.enter_context(x_server())
         playwright = stack.enter_context(sync_playwright())
-        if name == "chromium":
+        if request.param == "chromium":
             browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
         else:  # the system's own, over WebDriver BiDi
             environment = {**os.environ, "DISPLAY": display}
@@ -239,8 +238,10 @@ def x_server() -> Iterator[str]:
     command = ["Xvfb", "-displayfd", "1", "-nolisten", "tcp"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout
-        yield f":{process.stdout.readline().strip()}"
-        process.terminate()
+        try:
+            yield f":{process.stdout.readline().strip()}"
+        finally:
+            process.terminate()
 
 
 @pytest.fixture
