@@ -44,8 +44,9 @@ CHROMIUM_FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
+FIREFOX = next(filter(None, map(shutil.which, ("firefox-esr", "firefox"))), None)
 DESKTOP = {"width": 1280, "height": 860}
-in_each_browser = pytest.mark.parametrize("browser", ["chromium", "firefox"], indirect=True)
+in_each_browser = pytest.mark.in_each_browser  # what browsers might do differently; the rest in Chromium alone
 Open = Callable[..., Any]
 # mlagents-envs 1.1.0's own pins. It says Python <= 3.10.12 and runs on later 3.10 ones, so it is installed by itself.
 PINS = ("cloudpickle", "grpcio<=1.48.2", "Pillow", "protobuf<3.21", "pyyaml", "gym>=0.21", "pettingzoo==1.15.0")
@@ -60,6 +61,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with many slow tests come first: the last one that a worker begins should be short."""
     slow = collections.Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -slow[item.path])
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Each browser is started once a module, as every test says by name which it has."""
+    if "browser" in metafunc.fixturenames:
+        each = any(metafunc.definition.iter_markers("in_each_browser"))
+        metafunc.parametrize("browser", ["chromium", "firefox"] if each else ["chromium"], indirect=True)
 
 
 def corridor_here(*arguments: object) -> "subprocess.CompletedProcess[str]":
@@ -194,24 +202,46 @@ def page_server(tmp_path: Path) -> Iterator[Any]:
     thread.join()
 
 
-@pytest.fixture(scope="module")  # its event loop must not be there for other modules
-def browser(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """Headless Chromium, with WebGL in software; or Firefox, where a test is marked ``in_each_browser``."""
-    from playwright.sync_api import Error, sync_playwright
+@pytest.fixture(scope="module")
+def downloads(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where Firefox puts what it downloads."""
+    return tmp_path_factory.mktemp("downloads")
 
-    name = getattr(request, "param", "chromium")
-    if name == "chromium" and CHROMIUM is None:
+
+@pytest.fixture(scope="module")  # its event loop must not be there for other modules
+def browser(request: pytest.FixtureRequest, downloads: Path) -> Iterator[Any]:
+    """Headless Chromium; or Firefox, where a test is marked ``in_each_browser``; with WebGL in software."""
+    from playwright.sync_api import sync_playwright
+
+    if request.param == "chromium" and CHROMIUM is None:
         pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
-    with sync_playwright() as playwright:
-        if name == "chromium":
+    if request.param == "firefox" and not (FIREFOX and shutil.which("Xvfb")):
+        pytest.skip("Firefox or Xvfb is not installed (Debian: apt-get install firefox-esr xvfb)")
+    with contextlib.ExitStack() as stack:
+        if request.param == "firefox":
+            display = stack.enter_context(x_server())
+        playwright = stack.enter_context(sync_playwright())
+        if request.param == "chromium":
             browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
-        else:
-            try:
-                browser = playwright.firefox.launch()
-            except Error as error:
-                pytest.skip(f"Playwright has no Firefox that starts here ({str(error).splitlines()[0][-120:]})")
+        else:  # the system's own, over WebDriver BiDi
+            environment = {**os.environ, "DISPLAY": display}
+            browser = playwright.firefox.launch(
+                channel="moz-firefox", executable_path=FIREFOX, env=environment, downloads_path=downloads
+            )
         yield browser
         browser.close()
+
+
+@contextlib.contextmanager
+def x_server() -> Iterator[str]:
+    """The display of an X server without a screen, which Firefox needs for WebGL even where it is headless."""
+    command = ["Xvfb", "-displayfd", "1", "-nolisten", "tcp"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout
+        try:
+            yield f":{process.stdout.readline().strip()}"
+        finally:
+            process.terminate()
 
 
 @pytest.fixture

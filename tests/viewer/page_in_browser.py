@@ -46,6 +46,19 @@ def at(opened: Any, row: int) -> None:
     settle(opened)
 
 
+def is_firefox(opened: Any) -> bool:
+    return str(opened.context.browser.browser_type.name) == "firefox"
+
+
+def tap(opened: Any, selector: str) -> None:
+    """Touches the middle of an element; in Firefox, where Playwright has no finger, clicks on it."""
+    element = opened.locator(selector)
+    if is_firefox(opened):
+        element.click()
+    else:
+        element.tap()
+
+
 def readout(opened: Any) -> dict[str, str]:
     return dict(
         opened.eval_on_selector_all("#readout div", "all => all.map(d => [...d.children].map(c => c.innerText))")

@@ -146,7 +146,6 @@ def test_tabs_are_one_stop_with_arrows_between_them(open_page, watched):
 
 
 @pytest.mark.slow
-@in_each_browser
 def test_focus_survives_every_update_and_nothing_chatters(open_page, watched, tmp_path):
     opened = open_page(f"{watched}#run=slow&episode=1&t=1")
     shown(opened, 1)
@@ -180,7 +179,6 @@ def test_focus_survives_every_update_and_nothing_chatters(open_page, watched, tm
     assert opened.evaluate("heard") == ["spoken: failed, the episode is over."]
 
 
-@in_each_browser
 def test_every_picture_has_a_name(open_page, replay):
     opened = open_page(replay)
     choose(opened, 0)

@@ -70,7 +70,6 @@ def test_two_runs_stand_beside_each_other_at_one_time(open_page, page_server, tw
     assert opened.is_visible("#view3d")
 
 
-@in_each_browser
 def test_an_address_comes_back_with_the_run_beside_and_says_what_is_not_there(open_page, page_server, two, tmp_path):
     opened = open_episode(open_page, page_server, "run=slow&episode=2&t=1.5&beside=quick")
     assert opened.evaluate("[corridor.stage.time, corridor.stage.beside?.name, corridor.list.onStage]") == [
@@ -93,7 +92,6 @@ def test_an_address_comes_back_with_the_run_beside_and_says_what_is_not_there(op
     assert opened.evaluate("corridor.stage.beside") is None
 
 
-@in_each_browser
 def test_an_address_that_leads_nowhere_says_so(open_page, page_server, two):
     for place, sentence in (
         ("run=nobody&episode=2", "There is no run nobody in "),
@@ -103,7 +101,6 @@ def test_an_address_that_leads_nowhere_says_so(open_page, page_server, two):
         until(opened, f"document.querySelector('#notes').innerText.includes('{sentence}')")
 
 
-@in_each_browser
 def test_a_run_that_vanishes_keeps_what_was_seen(open_page, page_server, two):
     opened = open_episode(open_page, page_server, "run=slow&episode=0&t=3")
     opened.select_option("#episode-run", "quick")

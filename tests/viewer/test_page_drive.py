@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import Open, in_each_browser
 from eventful import eventful
-from page_in_browser import MINUS, PHONE, compare, settle, shown, until
+from page_in_browser import MINUS, PHONE, compare, settle, shown, tap, until
 from recorded_run import begun_run, settings
 
 from trainer.runs.trajectories import save_trajectories
@@ -150,7 +150,7 @@ def test_an_episode_of_the_evaluation_is_there_to_be_beaten(open_page, page_serv
     assert opened.inner_text("#drive-result").endswith(
         f"the policy's {total} in {len(episode.rewards) / 10:.1f} s is beaten."
     )
-    opened.locator("#again").tap()
+    tap(opened, "#again")
     until(opened, "corridor.stage.track.rows === 1")
     assert opened.evaluate("corridor.stage.track.at('p_x', 0)") == episode.observations[0, 0]
     opened.click("[data-tab=episodes]")
@@ -165,7 +165,7 @@ def test_on_a_phone_a_view_the_pad_and_a_restart_fit_one_screen(open_page, page_
     opened = open_page(f"{page_server.address}#run=bad&episode=1&t=2", viewport=PHONE, has_touch=True)
     shown(opened, 1)
     until(opened, "!document.querySelector('#beat').disabled")
-    opened.locator("#beat").tap()
+    tap(opened, "#beat")
     until(opened, "document.querySelector('#drive-result').innerText.includes('beat it')")
     settle(opened)
     assert opened.evaluate("scrollY") == 0

@@ -13,7 +13,6 @@ from recorded_run import GOLDEN, begun_run, recorded_run, settings
 
 from trainer.viewer.document import PAGE
 
-pytestmark = in_each_browser
 EVALUATION = {
     "episodes": 200,
     "success_rate": 0.97,
@@ -92,6 +91,7 @@ def test_evaluations_stand_beside_the_curves(opened):
     assert opened.evaluate("corridor.learning.charts[1].plot.scales.x.max") == 1_500_160  # where the diamonds are
 
 
+@in_each_browser
 def test_settings_that_differ_are_told_from_all_settings(opened):
     head, *rows = table(opened, "settings")
     assert set(head[1:]) == {"mine", "penalty/c0.3-seed4", "penalty/c0-seed4"}
@@ -142,6 +142,7 @@ def test_a_run_keeps_its_colour_whatever_else_is_shown(opened, open_page, page_s
     }
 
 
+@in_each_browser
 def test_focus_and_rows_stay_while_runs_go_on(opened, results):
     opened.focus("[data-run='penalty/c0.3-seed4']")
     opened.evaluate("window.row = document.activeElement")
@@ -166,6 +167,7 @@ def test_axe_finds_nothing(open_page, page_server, results, scheme):
     assert violations(opened) == []
 
 
+@in_each_browser
 def test_no_width_scrolls_sideways(opened):
     for width in (320, 390, 640, 641, 768, 900, 901, 1024, 1280, 1600, 1920):
         opened.set_viewport_size({"width": width, "height": DESKTOP["height"]})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import in_each_browser
 from eventful import eventful
-from page_in_browser import PHONE, at, choose, readout, settle, shown, until
+from page_in_browser import PHONE, at, choose, readout, settle, shown, tap, until
 from recorded_run import GOLDEN, settings
 
 from trainer.runs.evaluation import Episode
@@ -76,19 +76,12 @@ def test_what_happens_is_marked_and_its_legend_goes_there(open_page, replay):
     settle(opened)
     assert opened.evaluate("corridor.stage.time") == paid["near"][0]
     assert not opened.evaluate("corridor.stage.isPlaying")
-    opened.touchscreen.tap(*centre(opened, "[data-mark=contact]"))
+    tap(opened, "[data-mark=contact]")
     until(opened, f"corridor.stage.time === {paid['contact'][0]}")
     settle(opened)
     assert readout(opened)["eq. 9 says"] == "touching the opponent"
 
 
-def centre(opened: Any, selector: str) -> tuple[float, float]:
-    opened.locator(selector).scroll_into_view_if_needed()
-    box = opened.locator(selector).bounding_box()
-    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-
-@in_each_browser
 def test_value_and_curiosity_are_shown_where_they_are_recorded(open_page, replay, tmp_path):
     episode = eventful()[1].episodes[1]
     opened = open_page(replay)
@@ -136,13 +129,13 @@ def test_it_loops_goes_on_to_the_next_and_follows_the_learner(open_page, replay)
     opened = open_page(replay, viewport=PHONE, has_touch=True)
     choose(opened, 0)
     opened.select_option("#speed", "8")
-    opened.touchscreen.tap(*centre(opened, "#loop"))
-    opened.touchscreen.tap(*centre(opened, "#play"))
+    tap(opened, "#loop")
+    tap(opened, "#play")
     assert opened.get_attribute("#loop", "aria-pressed") == "true"
     assert opened.get_attribute("#play", "aria-label") == "Pause"
     opened.evaluate("corridor.stage.seek(corridor.stage.end - 5)")
     until(opened, "corridor.stage.isPlaying && corridor.stage.time < 40")
-    opened.touchscreen.tap(*centre(opened, "#next-episode"))
+    tap(opened, "#next-episode")
     shown(opened, 1)
     assert opened.evaluate("corridor.stage.isPlaying")  # as before
     opened.keyboard.press("l")
@@ -174,7 +167,6 @@ def test_it_loops_goes_on_to_the_next_and_follows_the_learner(open_page, replay)
 
 
 @pytest.mark.slow
-@in_each_browser
 def test_the_address_holds_the_place_and_opening_it_comes_back(open_page, replay):
     opened = open_page(replay)
     choose(opened, 2)
