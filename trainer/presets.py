@@ -23,7 +23,7 @@ class Preset:
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # Twice the r_i, of an encoder that changes: what the studies' runs were made with (docs/calibration.md).
+    # More than twice the r_i, of a quicker encoder: what the studies' runs were made with (docs/calibration.md).
     "case-studies": Preset(
         num_areas=128,
         through_gym=False,
