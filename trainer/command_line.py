@@ -32,6 +32,7 @@ COMMANDS = {
 
 def run_command(arguments: list[str]) -> int:
     """Runs a command; returns the process's exit code."""
+    typed = shlex.join(["corridor", *arguments])
     env_args, given = [], ENV_ARGS in arguments
     if given:  # what follows is the player's, dashes and all, as with mlagents-learn
         at = arguments.index(ENV_ARGS)
@@ -42,10 +43,10 @@ def run_command(arguments: list[str]) -> int:
             command = command.with_env_args(tuple(env_args))
         elif given:
             raise TrainerError(
-                f"{ENV_ARGS} is for corridor train and check, and a run keeps what it was trained with; leave it out, "
-                "with all that follows it."
+                f"{ENV_ARGS} is for corridor train, study and check, and a run keeps what it was trained with; leave "
+                "it out, with all that follows it."
             )
-        code: int = command.run(shlex.join(["corridor", *arguments]))
+        code: int = command.run(typed)
         return code
     except TrainerError as error:
         return _fail(str(error))

@@ -296,12 +296,15 @@ class LinesOfFile:
     Args:
         path: The file's.
         text: What is in it, which PyYAML can read.
+
+    Attributes:
+        path: The same.
     """
 
     def __init__(self, path: Path, text: str) -> None:
         import yaml
 
-        self._path = path
+        self.path = path
         self._root: Any = yaml.compose(text, yaml.SafeLoader)
 
     def named(self, error: SettingError) -> TrainerError:
@@ -312,7 +315,7 @@ class LinesOfFile:
             if not found:
                 break
             line, node = found[0]
-        return TrainerError(f"{self._path}, line {line}: {error}")
+        return TrainerError(f"{self.path}, line {line}: {error}")
 
     def check_names(self) -> None:
         """Refuses a name that stands twice in one place, of which PyYAML would take the last.
@@ -330,7 +333,7 @@ class LinesOfFile:
             for name, line, inner in _inside(node, merge=False):
                 if name in lines:
                     raise TrainerError(
-                        f"{self._path}, line {line}: {shown(name)} stands on line {lines[name]} already; take one out."
+                        f"{self.path}, line {line}: {shown(name)} stands on line {lines[name]} already; take one out."
                     )
                 lines[name] = line
                 waiting.append(inner)

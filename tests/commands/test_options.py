@@ -132,7 +132,7 @@ def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, 
     [
         (
             ["evaluate", "r", "--env-args", "--episodes", "3"],
-            "--env-args is for corridor train and check, and a run keeps",
+            "--env-args is for corridor train, study and check, and a run keeps",
         ),
         (["check", "--env", "editor", "--env-args", "-x"], "--env-args is for players that are launched"),
         (

@@ -52,7 +52,7 @@ REFUSED = [
     (["train", "--run-id", "new", "--from-sb3", "wrong.yaml"], "wrong.yaml is not a model"),
     (["evaluate", "nothing"], "No run 'nothing'"),
     (["evaluate", "run", "--checkpoint", "step-1"], "holds no checkpoint"),
-    (["evaluate", "nothing", "--env-args", "-x"], "--env-args is for corridor train and check"),
+    (["evaluate", "nothing", "--env-args", "-x"], "--env-args is for corridor train, study and check"),
     (["export", "nothing", "--onnx", "x.onnx"], "No run 'nothing'"),
     (["export", "run", "--onnx", "x.onnx"], "holds no checkpoint"),
     (["export", "run", "--onnx", "nowhere/x.onnx"], "can't be written"),

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import io
 import json
+import shlex
 import signal
 import subprocess
 import time
@@ -13,14 +14,27 @@ import pytest
 from conftest import BIN
 from recorded_run import begun_run
 
+from trainer.commands.study import CuriosityRatio, Penalty, run_of
+from trainer.commands.train import EnvironmentOptions
 from trainer.main import main
 from trainer.presets import PRESETS
 from trainer.studies.conduct import run_study
 from trainer.studies.executors import Attempt, LocalExecutor, Task
-from trainer.studies.plan import BASE, CASE_STUDIES, CURIOSITY_RATIO, PENALTY, STUDIES, Arm, Study
+from trainer.studies.plan import (
+    BASE,
+    CASE_STUDIES,
+    CURIOSITY_RATIO,
+    NO_PENALTY,
+    PENALTY,
+    STUDIES,
+    Arm,
+    Study,
+    corridor_world,
+)
 from trainer.studies.store import Store
 from trainer.terminal import Terminal
 
+ZOO = Path(__file__).parents[2] / "docs" / "zoo"
 SHORT = ("--seeds", 1, "--steps", 12_000, "--eval-episodes", 4)
 
 
@@ -109,7 +123,9 @@ def test_runs_csv_has_every_runs_curve(penalty):
 @pytest.mark.slow
 def test_another_study_uses_the_runs_that_are_there(penalty):
     store = Store(str(penalty.parent))
-    shared = [config for arm in CURIOSITY_RATIO.runs("case-studies", 12_000, [0]).values() for config in arm]
+    shared = [
+        config for arm in CURIOSITY_RATIO.runs(corridor_world("case-studies", 12_000), [0]).values() for config in arm
+    ]
     found = {config.run_id: store.find(config, "curiosity-ratio", 4) for config in shared}
     assert found == {"c0-seed0": None, "c0.1-seed0": None, "c0.3-seed0": f"{penalty}/c0.3-seed0", "c0.5-seed0": None}
 
@@ -145,9 +161,8 @@ def test_a_failing_run_is_reported_with_its_log_and_the_study_goes_on(tmp_path):
         Study("mixed", "Mixed", arms),
         LocalExecutor(1),
         Store(str(tmp_path)),
-        preset="fast",
+        world=corridor_world("fast", 1_000),
         seeds=[0],
-        steps=1_000,
         episodes=2,
         timeout_wait=30,
         command="corridor study mixed",
@@ -188,6 +203,66 @@ def test_a_run_ends_with_the_process_that_started_it(tmp_path):
     attempt.wait()
     attempt.discard()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_study_of_another_environment_has_its_returns_and_decides_no_claim(tmp_path):
+    pole = ("--env", BIN / "corridor-server", "--env-args", "--gym", "CartPole-v1")
+    done = study(
+        "curiosity-ratio",
+        ZOO / "cartpole.yaml",
+        *SHORT[:2],
+        "--steps",
+        64,
+        "--eval-episodes",
+        2,
+        "--results-dir",
+        tmp_path,
+        *pole,
+    )
+    assert done.returncode == 0, done.stderr
+    report = (tmp_path / "curiosity-ratio" / "report.md").read_text()
+    assert report.startswith("# Influence of the curiosity ratio: cartpole.yaml, corridor-server --gym CartPole-v1\n")
+    assert "| arm | runs | return | episode length | minutes of learning |" in report
+    assert "Mean return in the evaluation, by seed" in report
+    assert shlex.join(map(str, pole[2:])) in report, "the command as it was typed"
+    record = json.loads((tmp_path / "curiosity-ratio" / "claims.json").read_text())
+    assert (record["claims"], record["preset"]) == ([], None)
+    strengths = {
+        arm: json.loads((tmp_path / "curiosity-ratio" / f"{arm}-seed0" / "summary.json").read_text())["c"]
+        for arm in ("c0", "c0.1", "c0.3", "c0.5")
+    }
+    assert strengths == {"c0": 0, "c0.1": 0.1, "c0.3": 0.3, "c0.5": 0.5}
+
+
+def test_a_file_of_the_paper_s_settings_is_a_study_s_corridor(tmp_path):
+    settings = tmp_path / "gamma.yaml"
+    settings.write_text("behaviors: {Corridor: {trainer_type: paper, hyperparameters: {gamma: 0.9}}}")
+    made = run_of(Penalty(file=settings).trained(), NO_PENALTY, 3)
+    assert (made.run_id, made.seed, made.penalty, made.curiosity.c, made.ppo.gamma) == (
+        "c0.3-no-penalty-seed3",
+        3,
+        0,
+        0.3,
+        0.9,
+    )
+
+
+def test_a_study_pays_for_the_curiosity_that_its_file_has():
+    train = CuriosityRatio(
+        file=ZOO / "mountaincar.yaml", environment=EnvironmentOptions(env=str(BIN / "corridor-server"))
+    ).trained()
+    by_c = {
+        arm.c: run_of(train, arm, 0).settings_for("MountainCarContinuous-v0").reward_signals
+        for arm in CURIOSITY_RATIO.arms
+    }
+    assert {c: None if each.rnd is None else each.rnd.strength for c, each in by_c.items()} == {
+        0: None,
+        0.1: 0.1,
+        0.3: 0.3,
+        0.5: 0.5,
+    }
+    assert all(each.curiosity is None for each in by_c.values())
 
 
 def test_case_studies_train_what_both_need_once():
@@ -233,9 +308,23 @@ def test_figures_show_arms_that_the_study_has():
         (["--address", "auto"], "--address auto names a Ray cluster; add --executor ray, or leave it out."),
         (["--executor", "ray", "--jobs", "2"], "--jobs is for --executor local"),
         (["--results-dir", "/proc/nowhere"], "/proc/nowhere/curiosity-ratio can't be written"),
+        (["--env", "editor"], "--env is editor, but a study starts its players itself"),
+        (["--env", "there/is/none"], "There is no player there/is/none"),
+        (
+            [str(ZOO / "simple_tag.yaml"), "--env", str(BIN / "corridor-server")],
+            "has 2 behaviors, but a study compares runs of one",
+        ),
+        (["--preset", "fast", str(ZOO / "cartpole.yaml")], "--preset fast has no effect on behaviors that a file"),
         (["--results-dir", "nothing://there"], "--results-dir nothing://there can't be used: Protocol not known"),
     ],
 )
 def test_bad_options_are_one_sentence_before_anything_starts(arguments, sentence, capsys):
     assert main(["study", "curiosity-ratio", *arguments]) == 1
     assert sentence in " ".join(capsys.readouterr().err.split())
+
+
+def test_only_c_is_studied_elsewhere(capsys):
+    assert main(["study", "penalty", "--env", str(BIN / "corridor-server")]) == 1
+    assert "study penalty changes what only the paper's corridor has; take study curiosity-ratio" in " ".join(
+        capsys.readouterr().err.split()
+    )

@@ -1,18 +1,25 @@
 """``corridor study``."""
 
 import os
-from dataclasses import dataclass, field
+import shlex
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import tyro
 
 from corridor_server.shared.given import Range
 from trainer.commands.shared_options import STUDIED, TrainingOptions
-from trainer.config import PAPER_STEPS, RESULTS, ExecutorName, WaitOptions
+from trainer.commands.train import EnvironmentOptions, LearningOptions, Train
+from trainer.config import PAPER_STEPS, RESULTS, ExecutorName, RunConfig, WaitOptions
 from trainer.errors import TrainerError
+from trainer.hyperparameters import Intrinsic
 from trainer.options import Count, Options
 from trainer.terminal import Terminal
+
+if TYPE_CHECKING:
+    from trainer.studies.plan import Arm
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,11 @@ class StudyOptions(Options):
     """A study that trains."""
 
     name: ClassVar[str]
+    only_c: ClassVar = False  # whether its arms differ in nothing else, which any environment can be trained with
+    file: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CONFIG.yaml]", help_behavior_hint="")
+    ] = None
+    """How runs are trained, as of corridor train, instead of by a preset; c is each arm's."""
     seeds: Annotated[int, Range(1, 1000)] = 5
     """How many seeds; every arm has a run for each."""
     first_seed: Annotated[int, Range(0)] = 0
@@ -32,6 +44,7 @@ class StudyOptions(Options):
     """The Ray cluster, HOST:PORT or auto; if not given, one is started on this machine."""
     results_dir: str = str(RESULTS)
     """Where studies are kept: a folder, or an fsspec URL. A stopped study goes on from what is there."""
+    environment: EnvironmentOptions = field(default_factory=EnvironmentOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     connection: WaitOptions = field(default_factory=WaitOptions)
 
@@ -51,10 +64,15 @@ class StudyOptions(Options):
         if self.executor == "ray" and self.jobs is not None:
             raise TrainerError("--jobs is for --executor local; Ray runs as many at a time as its cluster has cores.")
 
+    def with_env_args(self, given: tuple[str, ...]) -> Self:
+        """The same with arguments of the players' own."""
+        return replace(self, environment=replace(self.environment, env_args=given))
+
     def run(self, typed: str) -> int:
         """Trains what is missing and reports; the exit code is 1 if a run failed."""
         from trainer.studies.store import Store
 
+        train = self.trained()
         store = Store(self.results_dir)
         with store.only_writer(self.name):
             from trainer.activity import doing
@@ -63,19 +81,23 @@ class StudyOptions(Options):
                 from trainer.studies import conduct, executors, plan
                 from trainer.studies.ray_executor import RayExecutor
 
-            studies = {each.name: each for each in plan.STUDIES}
+            study = next(each for each in plan.STUDIES if each.name == self.name)
+            if train is None:
+                world = plan.corridor_world(self.training.preset or STUDIED, self.training.steps or PAPER_STEPS)
+            else:
+                world = plan.World(_named(train), partial(run_of, train))
+                study = study if train.environment.env == "builtin" else study.elsewhere(world)
             executor: executors.Executor
             if self.executor == "ray":
                 executor = RayExecutor(self.address)
             else:
                 executor = executors.LocalExecutor(self.jobs or os.cpu_count() or 1)
             finished = conduct.run_study(
-                studies[self.name],
+                study,
                 executor,
                 store,
-                preset=self.training.preset or STUDIED,
+                world=world,
                 seeds=range(self.first_seed, self.first_seed + self.seeds),
-                steps=self.training.steps or PAPER_STEPS,
                 episodes=self.training.eval_episodes,
                 timeout_wait=self.connection.timeout_wait,
                 command=typed,
@@ -83,12 +105,80 @@ class StudyOptions(Options):
             )
         return 0 if finished else 1
 
+    def trained(self) -> Train | None:
+        """The command whose runs these are but for what each arm has; None for a preset's, on the corridor.
+
+        Raises:
+            TrainerError: It would be refused, or its runs can't be an arm's.
+        """
+        if self.file is None and self.environment == EnvironmentOptions():
+            return None
+        train = Train(file=self.file)
+        train = train.over_its_file() or train
+        given = {
+            each.name: getattr(self.environment, each.name)
+            for each in fields(EnvironmentOptions)
+            if getattr(self.environment, each.name) != each.default
+        }
+        ours = self.file is None and self.environment.env == "builtin"
+        learning = LearningOptions(
+            preset=self.training.preset or (STUDIED if ours else None),
+            steps=self.training.steps,
+            device=train.training.device,
+        )
+        train = replace(train, run_id=self.name, environment=replace(train.environment, **given), training=learning)
+        env = train.environment.env
+        from trainer.players.location import can_be_launched, check_launchable
+
+        check_launchable(env)
+        train.check_effects(can_be_launched(env))
+        if env != "builtin" and not can_be_launched(env):
+            raise TrainerError(f"--env is {env}, but a study starts its players itself; give a build's path.")
+        if env != "builtin" and not self.only_c:
+            raise TrainerError(
+                f"--env is {env}, but study {self.name} changes what only the paper's corridor has; take study "
+                f"{CuriosityRatio.name}, which changes c alone."
+            )
+        config = train.run_config()
+        if len(config.behaviors) > 1:
+            raise TrainerError(
+                f"{self.file} has {len(config.behaviors)} behaviors, but a study compares runs of one; leave one."
+            )
+        return train
+
+
+def _named(train: Train) -> str:
+    """What a report calls the runs of a command."""
+    said, environment = train.said, train.environment
+    file = "ML-Agents' defaults" if said is None or said.place is None else said.place.path.name
+    if environment.env == "builtin":
+        return file
+    return f"{file}, {shlex.join([Path(environment.env).name, *environment.env_args])}"
+
+
+def run_of(train: Train, arm: "Arm", seed: int) -> RunConfig:
+    """An arm's run, as ``corridor train`` would make it."""
+    settings = [] if train.said is None else [*train.said.behaviors.values(), train.said.default_settings]
+    signals = [each.reward_signals for each in settings if each is not None]
+    of_file: Intrinsic = "rnd" if any(each.rnd for each in signals) else "icm"
+    learning = replace(
+        train.training,
+        seed=seed,
+        c=arm.c,
+        penalty=arm.penalty,
+        algo=arm.algo,
+        intrinsic=arm.intrinsic if arm.c == 0 or arm.intrinsic != "icm" else of_file,
+    )
+    config = replace(train, run_id=arm.run_id(seed), training=learning).run_config()
+    return config if arm.gamma is None else replace(config, ppo=replace(config.ppo, gamma=arm.gamma))
+
 
 @dataclass(frozen=True)
 class CuriosityRatio(StudyOptions):
-    """Fig. 5: c = 0, 0.1, 0.3 and 0.5."""
+    """Fig. 5: c = 0, 0.1, 0.3 and 0.5; with --env on another environment, which is held against no claim."""
 
     name: ClassVar = "curiosity-ratio"
+    only_c: ClassVar = True
 
 
 @dataclass(frozen=True)

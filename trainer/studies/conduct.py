@@ -4,12 +4,11 @@ import time
 from collections.abc import Sequence
 from contextlib import closing
 
-from trainer.config import PresetName
 from trainer.runs.folder import machine, versions
 from trainer.signals import temporary_folder
 from trainer.studies.display import StudyDisplay
 from trainer.studies.executors import Executor, RunOutcome, Task
-from trainer.studies.plan import Study
+from trainer.studies.plan import Study, World
 from trainer.studies.report import Facts, Report
 from trainer.studies.store import Store
 from trainer.terminal import Terminal
@@ -20,9 +19,8 @@ def run_study(
     executor: Executor,
     store: Store,
     *,
-    preset: PresetName,
+    world: World,
     seeds: Sequence[int],
-    steps: int,
     episodes: int,
     timeout_wait: int,
     command: str,
@@ -34,9 +32,8 @@ def run_study(
         study: What to compare.
         executor: Where runs are executed.
         store: Where runs and report go.
-        preset: The runs' preset.
+        world: What the runs are trained on.
         seeds: One run of every arm for each.
-        steps: Agent steps per run.
         episodes: Of each run's evaluation.
         timeout_wait: Seconds to wait for a player.
         command: As typed, for the report.
@@ -50,8 +47,9 @@ def run_study(
     """
     store.check_writable()
     executor.check()
-    planned = study.runs(preset, steps, seeds)
+    planned = study.runs(world, seeds)
     configs = [planned[arm.name][index] for index in range(len(seeds)) for arm in study.arms]
+    steps = configs[0].steps
     missing = [config for config in configs if store.find(config, study.name, episodes) is None]
     tasks = [Task(config, store.place, study.name, episodes, timeout_wait) for config in missing]
     started = time.monotonic()
@@ -73,7 +71,7 @@ def run_study(
     failures = [outcome for outcome in ended if outcome.error is not None]
     facts = Facts(
         command=command,
-        preset=preset,
+        world=world,
         seeds=seeds,
         steps=steps,
         trained=len(ended) - len(failures),

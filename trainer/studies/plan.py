@@ -1,7 +1,7 @@
 """Which runs a study consists of."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from trainer.config import PresetName, RunConfig
@@ -32,10 +32,14 @@ class Arm:
     algo: Algorithm = "ppo"
     intrinsic: Intrinsic = "icm"
 
+    def run_id(self, seed: int) -> str:
+        """What one of its runs is called."""
+        return f"{self.name}-seed{seed}"
+
     def run(self, preset: PresetName, steps: int, seed: int) -> RunConfig:
-        """One of its runs."""
+        """One of its runs on the corridor."""
         config = preset_run(
-            f"{self.name}-seed{seed}",
+            self.run_id(seed),
             preset,
             c=self.c,
             seed=seed,
@@ -47,6 +51,26 @@ class Arm:
         if self.gamma is not None:
             config = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, gamma=self.gamma))
         return config
+
+
+@dataclass(frozen=True)
+class World:
+    """What a study's runs are trained on.
+
+    Attributes:
+        name: What reports call it.
+        run: An arm's run with a seed.
+        preset: What the runs began as, on the corridor; None elsewhere.
+    """
+
+    name: str
+    run: Callable[[Arm, int], RunConfig]
+    preset: PresetName | None = None
+
+
+def corridor_world(preset: PresetName, steps: int) -> World:
+    """The paper's corridor, as a preset trains on it for so many agent steps."""
+    return World(f"preset {preset}", lambda arm, seed: arm.run(preset, steps, seed), preset)
 
 
 @dataclass(frozen=True)
@@ -101,9 +125,13 @@ class Study:
     claims: tuple[str, ...] = ()
     doses: tuple[DoseFigure, ...] = ()
 
-    def runs(self, preset: PresetName, steps: int, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
+    def elsewhere(self, world: World) -> "Study":
+        """The same on an environment of others, of which the paper claims nothing."""
+        return dataclasses.replace(self, title=f"{self.title.partition(' (')[0]}: {world.name}", claims=())
+
+    def runs(self, world: World, seeds: Sequence[int]) -> dict[str, list[RunConfig]]:
         """The study's runs by arm name, one per seed."""
-        return {arm.name: [arm.run(preset, steps, seed) for seed in seeds] for arm in self.arms}
+        return {arm.name: [world.run(arm, seed) for seed in seeds] for arm in self.arms}
 
 
 BASE = Arm("c0", "base PPO (c = 0)", 0.0)

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from trainer.studies import plots
 from trainer.studies.bootstrap import Estimate, interval
 from trainer.studies.claims import BOOTSTRAP_SEED, CLAIMS, MINIMUM
 from trainer.studies.executors import RunOutcome
-from trainer.studies.plan import Study
+from trainer.studies.plan import Study, World
 from trainer.studies.results import RunResult, scores, steps_to
 from trainer.terminal import Terminal
 
@@ -40,7 +40,12 @@ COLUMNS = (
     ("thousand steps to 90%", "steps_to_90_success", 0, 1e-3),
     ("minutes of learning", "wall_seconds", 1, 1 / 60),
 )
-IN_TERMINAL = (0, 1, 2, 5, 6)
+IN_TERMINAL = ("success_rate", "mean_return", "mean_episode_length", "wall_contact_rate", "steps_to_50_success")
+ANYWHERE = (
+    "mean_return",
+    "mean_episode_length",
+    "wall_seconds",
+)  # what every environment has; the rest is a corridor's
 VERDICTS = {True: Text("yes", "green"), False: Text("no", "red"), None: Text("not decided", "yellow")}
 
 
@@ -50,7 +55,7 @@ class Facts:
 
     Attributes:
         command: As it was typed.
-        preset: The runs' preset.
+        world: What the runs were trained on.
         seeds: The runs' seeds.
         steps: Agent steps per run.
         trained: Runs that this invocation trained; the others were finished before.
@@ -60,7 +65,7 @@ class Facts:
     """
 
     command: str
-    preset: str
+    world: World
     seeds: Sequence[int]
     steps: int
     trained: int
@@ -103,14 +108,24 @@ class Report:
                 found[arm.name][measure] = interval(values, generator) if len(values) else None
         return found
 
-    def table(self, between: str, columns: Sequence[int] = range(len(COLUMNS))) -> list[list[str]]:
+    @property
+    def reports_success(self) -> bool:
+        """Whether its environment says of an episode that it succeeded, as a corridor does."""
+        found = [run for runs in self.runs.values() for run in runs]
+        return not found or any(run.measure("success_rate") is not None for run in found)
+
+    def table(self, between: str, measures: Collection[str] | None = None) -> list[list[str]]:
         """The results table: its head, then a row per arm.
 
         Args:
             between: Stands between a number and its interval.
-            columns: Which of ``COLUMNS``.
+            measures: Which of ``COLUMNS``; all if not given. Those that the environment doesn't have are left out.
         """
-        shown = [COLUMNS[index] for index in columns]
+        shown = [
+            column
+            for column in COLUMNS
+            if (measures is None or column[1] in measures) and (self.reports_success or column[1] in ANYWHERE)
+        ]
         rows = [["arm", "runs", *(title for title, *_ in shown)]]
         for arm, estimates in zip(self.study.arms, self.estimates().values(), strict=True):
             runs = self.runs[arm.name]
@@ -160,7 +175,7 @@ class Report:
             "seeds": len(self.facts.seeds),
             "first_seed": self.facts.seeds[0],
             "steps": self.facts.steps,
-            "preset": self.facts.preset,
+            "preset": self.facts.world.preset,
             "command": self.facts.command,
             "runs": {
                 "finished": sum(len(runs) for runs in self.runs.values()),
@@ -224,7 +239,7 @@ class Report:
             f"`{facts.command}`",
             "",
             f"{finished} of {planned} runs finished: {seeds}, "
-            f"{len(self.study.arms)} arms, {facts.steps:,} agent steps per run, preset {facts.preset}. This command "
+            f"{len(self.study.arms)} arms, {facts.steps:,} agent steps per run, {facts.world.name}. This command "
             f"trained {facts.trained} of them in {_duration(facts.wall_seconds)}; learning took "
             f"{_duration(self._training_seconds())} over all runs.",
         ]
@@ -244,16 +259,19 @@ class Report:
         return lines
 
     def _results_section(self) -> list[str]:
-        return [
+        lines = [
             "## Results",
             "",
             "Interquartile means over seeds, with 95% stratified bootstrap intervals, of each run's evaluation at the",
-            "end: deterministic policy, extrinsic reward, lengths in decisions. Steps to a success rate are those",
-            "until so many of the last 100 training episodes succeeded; how many runs got there stands in",
-            "parentheses, and the others count with all their steps, so that the number is a lower bound.",
-            "",
-            *_markdown_table(self.table(" ")),
+            "end: deterministic policy, extrinsic reward, lengths in decisions.",
         ]
+        if self.reports_success:
+            lines += [
+                "Steps to a success rate are those until so many of the last 100 training episodes succeeded; how many",
+                "runs got there stands in parentheses, and the others count with all their steps, so that the number",
+                "is a lower bound.",
+            ]
+        return [*lines, "", *_markdown_table(self.table(" "))]
 
     def _figure_sections(self) -> list[list[str]]:
         return [
@@ -276,12 +294,13 @@ class Report:
 
     def _runs_section(self) -> list[str]:
         seeds = self.facts.seeds
+        what, measure = ("Success", "success_rate") if self.reports_success else ("Mean return", "mean_return")
         rows = [["arm", *map(str, seeds)]]
         for arm in self.study.arms:
-            rates = {run.config.seed: run.measure("success_rate") for run in self.runs[arm.name]}
-            shown = (rates.get(seed) for seed in seeds)
-            rows.append([arm.label, *("-" if rate is None else f"{rate:.2f}" for rate in shown)])
-        lines = ["## Every run", "", "Success in the evaluation, by seed:", "", *_markdown_table(rows)]
+            values = {run.config.seed: run.measure(measure) for run in self.runs[arm.name]}
+            shown = (values.get(seed) for seed in seeds)
+            rows.append([arm.label, *("-" if value is None else f"{value:.2f}" for value in shown)])
+        lines = ["## Every run", "", f"{what} in the evaluation, by seed:", "", *_markdown_table(rows)]
         elsewhere = [
             f"{Path(run.path).parent.name}/{run.config.run_id}"
             for runs in self.runs.values()
