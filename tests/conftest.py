@@ -45,6 +45,12 @@ CHROMIUM_FLAGS = [
     "--enable-unsafe-swiftshader",
 ]
 FIREFOX = next(filter(None, map(shutil.which, ("firefox-esr", "firefox"))), None)
+NO_WEBGL = """{
+    const original = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+        return kind.startsWith("webgl") ? null : original.call(this, kind, ...rest);
+    };
+}"""
 DESKTOP = {"width": 1280, "height": 860}
 in_each_browser = pytest.mark.in_each_browser  # what browsers might do differently; the rest in Chromium alone
 Open = Callable[..., Any]
@@ -246,12 +252,18 @@ def x_server() -> Iterator[str]:
 
 @pytest.fixture
 def open_page(browser: Any) -> Iterator[Open]:
-    """Opens an address; at the end, no page may have written an error to its console."""
+    """Opens an address; at the end, no page may have written an error to its console.
+
+    Drawn in software, the first picture of the 3D view takes seconds, so only what is about it is opened ``in_3d``: the
+    others see the page as a browser without WebGL shows it, with the top view in its place.
+    """
     errors: list[str] = []
     contexts = []
 
-    def open_one(address: str, **options: Any) -> Any:
+    def open_one(address: str, *, in_3d: bool = False, **options: Any) -> Any:
         context = browser.new_context(**{"viewport": DESKTOP, **options})
+        if not in_3d:
+            context.add_init_script(NO_WEBGL)
         context.set_default_timeout(120_000)  # milliseconds; a busy machine draws slowly
         contexts.append(context)
         opened = context.new_page()

@@ -69,17 +69,19 @@ def check(opened: Any) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_keeps_anybody_out(open_page, replay, watched, scheme):
-    opened = open_page(replay, color_scheme=scheme)
+    opened = open_page(replay, color_scheme=scheme, in_3d=True)
     choose(opened, 0)
     at(opened, 40)
     check(opened)
-    opened = open_page(f"{watched}#run=slow&episode=0&t=3&beside=quick", color_scheme=scheme, viewport=PHONE)
+    opened = open_page(
+        f"{watched}#run=slow&episode=0&t=3&beside=quick", color_scheme=scheme, viewport=PHONE, in_3d=True
+    )
     until(opened, "corridor.stage.beside !== null")
     check(opened)
     opened.click("[data-tab=drive]")
     until(opened, "document.querySelector('#drive-result').innerText.includes('first move')")
     check(opened)
-    check(open_page(watched.partition("?")[0], color_scheme=scheme))
+    check(open_page(watched.partition("?")[0], color_scheme=scheme, in_3d=True))
 
 
 @in_each_browser
@@ -149,6 +151,7 @@ def test_tabs_are_one_stop_with_arrows_between_them(open_page, watched):
 def test_focus_survives_every_update_and_nothing_chatters(open_page, watched, tmp_path):
     opened = open_page(f"{watched}#run=slow&episode=1&t=1")
     shown(opened, 1)
+    opened.select_option("#speed", "8")
     opened.evaluate(
         """(() => {
             window.heard = [];
@@ -236,7 +239,7 @@ def test_nothing_scrolls_sideways_at_any_width(open_page, watched):
 
 @in_each_browser
 def test_wheel_and_finger_scroll_the_page_past_the_3d_view(open_page, replay, browser):
-    opened = open_page(replay, viewport={"width": 390, "height": 500}, has_touch=True)
+    opened = open_page(replay, viewport={"width": 390, "height": 500}, has_touch=True, in_3d=True)
     choose(opened, 0)
     opened.evaluate("scrollTo(0, 0)")
     canvas = opened.locator("#canvas3d")

@@ -42,7 +42,7 @@ def test_two_runs_stand_beside_each_other_at_one_time(open_page, page_server, tw
     lengths = {
         run_id: len(eventful(run_id, haste)[1].episodes[0].rewards) for run_id, haste in (("slow", 0.6), ("quick", 1))
     }
-    opened = open_episode(open_page, page_server, "run=slow&episode=0&t=2", **options)
+    opened = open_episode(open_page, page_server, "run=slow&episode=0&t=2", in_3d=True, **options)
     assert opened.is_visible("#view3d")
     opened.focus("#beside-run")
     opened.keyboard.press("ArrowDown")

@@ -54,7 +54,7 @@ def reached(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_keys_drive_the_learner_to_the_target(open_page, page_server):
-    opened = open_drive(open_page, page_server)
+    opened = open_drive(open_page, page_server, in_3d=True)
     down: set[str] = set()
     for _ in range(2000):
         outcome, x, z = wanted(opened)

@@ -29,7 +29,7 @@ def stop(process: subprocess.Popen[str]) -> None:
 def test_learning_is_followed_and_runs_lie_over_each_other(open_page, tmp_path, free_port):
     results = tmp_path / "results"
     process, address = start_watching(results, free_port)
-    opened = open_page(address)
+    opened = open_page(address, in_3d=True)
     until(opened, "document.querySelector('#notes').innerText.startsWith('There is no run yet')")
     for _ in range(2):
         assert opened.evaluate("location.href") == address.partition("?")[0]  # without the token

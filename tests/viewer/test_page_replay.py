@@ -105,8 +105,10 @@ def test_scrubbing_and_stepping_show_that_decision(open_page, replay):
     opened.fill("#scrub", "10")
     settle(opened)
     assert opened.inner_text("#clock").startswith("1.0 /")
-    box = opened.locator(".of-distance .u-over").bounding_box()
-    opened.mouse.click(box["x"] + box["width"] / 2, box["y"] + 20)
+    chart = opened.locator(".of-distance .u-over")
+    chart.scroll_into_view_if_needed()
+    box = chart.bounding_box()
+    chart.click(position={"x": box["width"] / 2, "y": 20})
     settle(opened)
     time = opened.evaluate("corridor.stage.time")
     assert time == pytest.approx(last / 2, abs=2)
@@ -133,7 +135,7 @@ def test_episodes_are_chosen_by_kind(open_page, replay, scene):
 
 
 def test_the_camera_follows_mouse_and_finger_and_comes_back(open_page, replay):
-    opened = open_page(replay, has_touch=True)
+    opened = open_page(replay, in_3d=True, has_touch=True)
     choose(opened, 1)
     canvas = opened.locator("#canvas3d")
     before = pixels(canvas.screenshot())
@@ -172,7 +174,7 @@ def test_the_camera_follows_mouse_and_finger_and_comes_back(open_page, replay):
     ],
 )
 def test_it_looks_as_it_did(open_page, replay, name, options, selector):
-    opened = open_page(replay, **options)
+    opened = open_page(replay, in_3d=True, **options)
     choose(opened, 1)
     at(opened, 150)  # on the way from the switch, past the opponent's zone
     opened.evaluate("scrollTo(0, 0)")

@@ -35,7 +35,9 @@ export class View3D {
 
   // Throws where there is no WebGL.
   constructor(private readonly canvas: HTMLCanvasElement, onChange: () => void) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true });
+    const context = canvas.getContext("webgl2", { antialias: true });
+    if (!context) throw new Error("no WebGL"); // three.js would also complain to the console
+    this.renderer = new WebGLRenderer({ canvas, context });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     // The page scrolls under a wheel and under a finger that goes up or down; Ctrl and the wheel, or two fingers, zoom.
