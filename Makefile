@@ -19,7 +19,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 train: $(INSTALLED)  ## train the paper's agent; e.g. make train RUN=mine ARGS='--seed 1 --c 0'
 	$(BIN)/corridor train --run-id $(RUN) $(ARGS)
 
-test: $(INSTALLED)  ## run the tests of at most 10 seconds each; e.g. make test ARGS=tests/runs
+test: $(INSTALLED)  ## run the tests of at most 10 seconds each, in Chromium alone; e.g. make test ARGS=tests/runs
 	$(PYTEST) -m 'not slow' $(ARGS)
 
 test-all: $(INSTALLED)  ## run every test, as CI does

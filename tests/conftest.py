@@ -73,7 +73,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Each browser is started once a module, as every test says by name which it has."""
     if "browser" in metafunc.fixturenames:
         each = any(metafunc.definition.iter_markers("in_each_browser"))
-        metafunc.parametrize("browser", ["chromium", "firefox"] if each else ["chromium"], indirect=True)
+        firefox = [pytest.param("firefox", marks=pytest.mark.slow)] if each else []  # it says all of it once more
+        metafunc.parametrize("browser", ["chromium", *firefox], indirect=True)
 
 
 def corridor_here(*arguments: object) -> "subprocess.CompletedProcess[str]":

@@ -20,6 +20,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return address
 
 
+@pytest.mark.slow
 def test_the_page_of_a_replay_is_opened(tmp_path, opened):
     folder = recorded_run(tmp_path)
     done = corridor_here("replay", "fast", "--results-dir", tmp_path, "--open", "--episodes", 1)

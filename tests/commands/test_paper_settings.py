@@ -61,6 +61,7 @@ def test_what_a_run_records_makes_the_same_run(typed, arguments):
     assert again.behavior == "Corridor"
 
 
+@pytest.mark.slow
 def test_a_run_trained_from_its_own_record_learns_the_same(tmp_path, free_port):
     results = ["--results-dir", str(tmp_path), "--base-port", str(free_port), "--eval-episodes", "1"]
     typed = ["--c", "0.1", "--seed", "5", "--num-areas", "4", "--steps", "200"]

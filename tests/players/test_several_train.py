@@ -46,6 +46,7 @@ def test_the_same_seed_gives_the_same_run_with_three_players(tmp_path, free_port
     assert found[0][1]["evaluation"] == found[1][1]["evaluation"]
 
 
+@pytest.mark.slow
 def test_training_goes_on_when_a_player_is_killed(tmp_path, free_port):
     process = Prepared(
         [WITH_ROWS, "train", "--run-id", "r", "--results-dir", tmp_path, "--base-port", free_port,
@@ -70,6 +71,7 @@ def dial_in(port: int) -> subprocess.Popen[bytes]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_players_that_dial_in_from_elsewhere_and_one_that_dials_in_again(tmp_path, free_port):
     process = Prepared(
         [WITH_ROWS, "train", "--run-id", "r", "--results-dir", tmp_path, "--env", f"localhost:{free_port}",

@@ -83,6 +83,7 @@ def in_format_1(checkpoint: Checkpoint) -> Checkpoint:
     return Checkpoint(arrays, {**facts, "curiosity": parts["curiosity"]})
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_the_first_format_goes_on_to_the_bit(tmp_path, free_port, monkeypatch):
     def train_to(results: Path, steps: int, resumed: bool) -> RunFolder:
         config = asked("r", num_areas=8, steps=steps).run_config()

@@ -8,6 +8,7 @@ import pytest
 from trainer.viewer.document import PAGE
 
 
+@pytest.mark.slow
 def test_the_bundle_is_built_from_its_sources(tmp_path):
     if shutil.which("npm") is None:
         pytest.skip("Node is not installed")

@@ -124,6 +124,7 @@ def test_a_runs_own_corridor_is_driven_and_begun_again(open_page, page_server, t
     until(opened, "corridor.stage.track.goal[0] === 9")
 
 
+@pytest.mark.slow
 @in_each_browser
 def test_an_episode_of_the_evaluation_is_there_to_be_beaten(open_page, page_server, tmp_path):
     config, trajectories = eventful("bad")

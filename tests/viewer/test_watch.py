@@ -218,6 +218,7 @@ def test_a_foreign_players_run_says_when_there_will_be_episodes(page_server, tmp
     assert ask(page_server, "/api/scene?run=unity")[1]["scene"] is None
 
 
+@pytest.mark.slow
 def test_the_newest_checkpoint_of_a_training_run_is_played(page_server, tmp_path):
     results = tmp_path / "results"
     options = ["--run-id", "r", "--results-dir", results, "--base-port", 5755, "--num-areas", 16, "--steps", 256]
