@@ -323,8 +323,19 @@ def test_bad_options_are_one_sentence_before_anything_starts(arguments, sentence
     assert sentence in " ".join(capsys.readouterr().err.split())
 
 
-def test_only_c_is_studied_elsewhere(capsys):
-    assert main(["study", "penalty", "--env", str(BIN / "corridor-server")]) == 1
-    assert "study penalty changes what only the paper's corridor has; take study curiosity-ratio" in " ".join(
-        capsys.readouterr().err.split()
-    )
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["--env", str(BIN / "corridor-server")],
+            "study penalty changes what only the paper's corridor has; take study",
+        ),
+        (
+            [str(ZOO / "cartpole.yaml")],
+            "cartpole.yaml has no trainer_type paper, but study penalty changes what only that",
+        ),
+    ],
+)
+def test_only_c_is_studied_elsewhere(arguments, sentence, capsys):
+    assert main(["study", "penalty", *arguments]) == 1
+    assert sentence in " ".join(capsys.readouterr().err.split())

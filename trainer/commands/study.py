@@ -140,6 +140,11 @@ class StudyOptions(Options):
                 f"{CuriosityRatio.name}, which changes c alone."
             )
         config = train.run_config()
+        if not self.only_c and (config.behaviors or config.default_settings is not None):
+            raise TrainerError(
+                f"{self.file} has no trainer_type paper, but study {self.name} changes what only that has; take study "
+                f"{CuriosityRatio.name}, which changes c alone."
+            )
         if len(config.behaviors) > 1:
             raise TrainerError(
                 f"{self.file} has {len(config.behaviors)} behaviors, but a study compares runs of one; leave one."
