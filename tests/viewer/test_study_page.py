@@ -88,7 +88,7 @@ def test_the_report_has_claims_results_and_captions(report, open_page):
     captions = opened.locator("#study figcaption").all_inner_texts()
     assert [caption[:25] for caption in captions[1:]] == ["The paper's Fig. 6a has t", "The paper's Fig. 6b has t"]
     assert all("Thick: interquartile mean" in caption for caption in captions)
-    assert opened.inner_text("#notes") == "There is no evaluation of c0-seed5, c0.3-seed5, so no replay."
+    assert opened.inner_text("#notes") == "There is no evaluation on a corridor of c0-seed5, c0.3-seed5, so no replay."
     assert table(opened, "Runs of base PPO")[1:] == [
         ["c0-seed4", "0%", "0.29", "226", "no successes", "0%", "50%"],
         ["c0-seed5, no replay", "not evaluated", *[""] * 5],
@@ -143,6 +143,20 @@ def test_the_report_is_accessible_and_reads_at_any_width(report, open_page, sche
     assert cell.get_attribute("data-head") == "the paper says"
     content = cell.evaluate("cell => getComputedStyle(cell, '::before').content")
     assert content == ("attr(data-head)" if is_firefox(opened) else '"the paper says"')
+
+
+def test_a_study_of_another_environment_says_nothing_of_the_papers(study, open_page):
+    record = json.loads((study / "claims.json").read_text())
+    arms = [{"name": "c0", "label": "base PPO", "runs": 20, "mean_return": {"value": 90, "low": 80, "high": 95}}]
+    record |= {"claims": [], "arms": arms, "seeds": 20, "first_seed": 30}
+    (study / "claims.json").write_text(json.dumps(record))
+    Image.new("RGB", (60, 40), "white").save(study / "figure5a.png")
+    opened = open_page(write_study_page(study, 3, Terminal()).as_uri())
+    assert opened.locator("figcaption", has_text="Blue: c = 0.3; red: c = 0.1").count() == 1
+    assert "paper" not in opened.inner_text("#study figure:has-text('Blue: c = 0.3; red: c = 0.1')")
+    assert table(opened, "Results by arm") == [["arm", "runs", "return"], ["base PPO", "20", "90.00 [80.00, 95.00]"]]
+    first = ", ".join(f"c0-seed{seed}" for seed in range(30, 38))
+    assert opened.inner_text("#notes") == f"There is no evaluation on a corridor of {first} and 12 more, so no replay."
 
 
 def test_a_broken_study_is_one_sentence(study):

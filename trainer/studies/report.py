@@ -101,7 +101,7 @@ class Report:
         for arm in self.study.arms:
             runs = self.runs[arm.name]
             found[arm.name] = {}
-            for _, measure, _, _ in COLUMNS:
+            for _, measure, _, _ in self._columns:
                 values = scores(runs, measure)
                 if len(values) and measure.startswith("steps_to"):
                     values = steps_to(runs, measure)
@@ -114,6 +114,10 @@ class Report:
         found = [run for runs in self.runs.values() for run in runs]
         return not found or any(run.measure("success_rate") is not None for run in found)
 
+    @property
+    def _columns(self) -> Sequence[tuple[str, str, int, float]]:
+        return [column for column in COLUMNS if self.reports_success or column[1] in ANYWHERE]
+
     def table(self, between: str, measures: Collection[str] | None = None) -> list[list[str]]:
         """The results table: its head, then a row per arm.
 
@@ -121,11 +125,7 @@ class Report:
             between: Stands between a number and its interval.
             measures: Which of ``COLUMNS``; all if not given. Those that the environment doesn't have are left out.
         """
-        shown = [
-            column
-            for column in COLUMNS
-            if (measures is None or column[1] in measures) and (self.reports_success or column[1] in ANYWHERE)
-        ]
+        shown = [column for column in self._columns if measures is None or column[1] in measures]
         rows = [["arm", "runs", *(title for title, *_ in shown)]]
         for arm, estimates in zip(self.study.arms, self.estimates().values(), strict=True):
             runs = self.runs[arm.name]

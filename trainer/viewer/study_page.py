@@ -24,6 +24,7 @@ SEED, SEEDS = Range(0, 2**31 - 1), Range(1, 10_000)
 FINITE = Range()
 CLAIM_KEYS = ("id", "statement", "measure", "holds", "evidence")
 REPORT = "report.html"
+SHOWN = 8  # runs that are named where something is missing
 # Of an arm in claims.json: what the results table shows if an arm has it.
 MEASURES = (
     "success_rate",
@@ -91,13 +92,16 @@ def write_study_page(folder: Path, episodes: int, console: Terminal) -> Path:
     except OSError as error:
         raise TrainerError(f"{folder} can't be used ({error}); check its permissions.") from error
     without = [run["run_id"] for group in groups for run in group["runs"] if run["replay"] is None]
-    notes = [f"There is no evaluation of {', '.join(without)}, so no replay."] if without else []
+    notes = []
+    if without:
+        more = f" and {len(without) - SHOWN} more" if len(without) > SHOWN else ""
+        notes = [f"There is no evaluation on a corridor of {', '.join(without[:SHOWN])}{more}, so no replay."]
     study = {
         "title": record.get("study", folder.name),
         "facts": facts,
         "claims": claims,
         "results": results,
-        "figures": [_figure(path) for path in sorted(folder.glob("*.png"))],
+        "figures": [_figure(path, of_the_paper=bool(claims)) for path in sorted(folder.glob("*.png"))],
         "groups": groups,
         "notes": notes,
     }
@@ -145,7 +149,10 @@ def _result(arm: Mapping[str, Any]) -> dict[str, Any]:
     return {"label": arm["label"], "runs": FINITE.read(arm.get("runs")), "measures": measures}
 
 
-def _figure(path: Path) -> dict[str, str]:
+def _figure(path: Path, of_the_paper: bool) -> dict[str, str]:
     title = re.sub(r"^figure(\w+)$", r"Fig. \1", path.stem).replace("-", " ")
     source = f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-    return {"title": title, "caption": CAPTIONS.get(path.stem, LINES), "source": source}
+    caption = CAPTIONS.get(path.stem, LINES)
+    if path.stem.startswith("figure5") and not of_the_paper:  # curiosity on an environment of others
+        title, caption = "Return" if path.stem.endswith("a") else "Episode length", FIGURE_5
+    return {"title": title, "caption": caption, "source": source}
