@@ -42,7 +42,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("version", OTHERS)
 def test_the_client_runs_on_python(version, wheel, tmp_path, free_port):
     """Installs the wheel's ``[client]`` (no torch) and steps the player with the unmodified mlagents-envs."""
-    python = sys.executable if sys.version_info[:2] == tuple(map(int, version.split("."))) else interpreter(version)
+    python = interpreter(version)
     if python is None:
         pytest.skip(f"no Python {version} on this machine")
     subprocess.run([python, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)

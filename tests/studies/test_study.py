@@ -14,7 +14,7 @@ import pytest
 from conftest import BIN
 from recorded_run import begun_run
 
-from trainer.commands.study import CuriosityRatio, Penalty, run_of
+from trainer.commands.study import CuriosityRatio, Penalty, name_of, run_of
 from trainer.commands.train import EnvironmentOptions
 from trainer.main import main
 from trainer.presets import PRESETS
@@ -246,6 +246,20 @@ def test_a_file_of_the_paper_s_settings_is_a_study_s_corridor(tmp_path):
         0.3,
         0.9,
     )
+
+
+def test_what_a_files_runs_begin_with_is_kept(tmp_path):
+    settings = tmp_path / "rnd.yaml"
+    settings.write_text("behaviors: {Corridor: {trainer_type: paper, curiosity: {intrinsic: rnd}}}")
+    made = run_of(Penalty(file=settings).trained(), NO_PENALTY, 3)
+    assert (made.curiosity.intrinsic, made.preset_given) == ("rnd", True)
+
+
+def test_a_changed_corridor_is_trained_by_the_studies_preset_and_named():
+    train = Penalty(environment=EnvironmentOptions(env_param=("goal_x=8",))).trained()
+    made = run_of(train, NO_PENALTY, 3)
+    assert (made.preset, made.curiosity.scale, made.environment_parameters["goal_x"]) == ("case-studies", 3.0, 8.0)
+    assert name_of(train) == "preset case-studies, goal_x=8"
 
 
 def test_a_study_pays_for_the_curiosity_that_its_file_has():

@@ -11,7 +11,7 @@ import tyro
 
 from corridor_server.shared.given import Range
 from trainer.commands.shared_options import STUDIED, TrainingOptions
-from trainer.commands.train import EnvironmentOptions, LearningOptions, Train
+from trainer.commands.train import EnvironmentOptions, Train
 from trainer.config import PAPER_STEPS, RESULTS, ExecutorName, RunConfig, WaitOptions
 from trainer.errors import TrainerError
 from trainer.hyperparameters import Intrinsic
@@ -31,7 +31,7 @@ class StudyOptions(Options):
     file: Annotated[
         Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CONFIG.yaml]", help_behavior_hint="")
     ] = None
-    """How runs are trained, as of corridor train, instead of by a preset; c is each arm's."""
+    """How runs are trained, as of corridor train, instead of by a preset; c, penalty and algorithm are each arm's."""
     seeds: Annotated[int, Range(1, 1000)] = 5
     """How many seeds; every arm has a run for each."""
     first_seed: Annotated[int, Range(0)] = 0
@@ -85,7 +85,7 @@ class StudyOptions(Options):
             if train is None:
                 world = plan.corridor_world(self.training.preset or STUDIED, self.training.steps or PAPER_STEPS)
             else:
-                world = plan.World(_named(train), partial(run_of, train))
+                world = plan.World(name_of(train), partial(run_of, train), train.training.preset)
                 study = study if train.environment.env == "builtin" else study.elsewhere(world)
             executor: executors.Executor
             if self.executor == "ray":
@@ -120,13 +120,13 @@ class StudyOptions(Options):
             for each in fields(EnvironmentOptions)
             if getattr(self.environment, each.name) != each.default
         }
-        ours = self.file is None and self.environment.env == "builtin"
-        learning = LearningOptions(
-            preset=self.training.preset or (STUDIED if ours else None),
-            steps=self.training.steps,
-            device=train.training.device,
+        environment = replace(train.environment, **given)
+        said_how = train.said is not None and bool(
+            train.said.paper or train.said.behaviors or train.said.default_settings
         )
-        train = replace(train, run_id=self.name, environment=replace(train.environment, **given), training=learning)
+        preset = self.training.preset or (STUDIED if environment.env == "builtin" and not said_how else None)
+        learning = replace(train.training, preset=preset, steps=self.training.steps)
+        train = replace(train, run_id=self.name, environment=environment, training=learning)
         env = train.environment.env
         from trainer.players.location import can_be_launched, check_launchable
 
@@ -152,20 +152,23 @@ class StudyOptions(Options):
         return train
 
 
-def _named(train: Train) -> str:
+def name_of(train: Train) -> str:
     """What a report calls the runs of a command."""
-    said, environment = train.said, train.environment
-    file = "ML-Agents' defaults" if said is None or said.place is None else said.place.path.name
-    if environment.env == "builtin":
-        return file
-    return f"{file}, {shlex.join([Path(environment.env).name, *environment.env_args])}"
+    said, environment, preset = train.said, train.environment, train.training.preset
+    parts = [] if said is None or said.place is None else [said.place.path.name]
+    if preset is not None:
+        parts.append(f"preset {preset}")
+    if environment.env != "builtin":
+        parts = parts or ["ML-Agents' defaults"]
+        parts.append(shlex.join([Path(environment.env).name, *environment.env_args]))
+    return ", ".join([*parts, *environment.env_param])
 
 
 def run_of(train: Train, arm: "Arm", seed: int) -> RunConfig:
     """An arm's run, as ``corridor train`` would make it."""
     settings = [] if train.said is None else [*train.said.behaviors.values(), train.said.default_settings]
     signals = [each.reward_signals for each in settings if each is not None]
-    of_file: Intrinsic = "rnd" if any(each.rnd for each in signals) else "icm"
+    of_file: Intrinsic = "rnd" if any(each.rnd for each in signals) else train.training.intrinsic
     learning = replace(
         train.training,
         seed=seed,

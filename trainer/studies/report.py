@@ -41,11 +41,8 @@ COLUMNS = (
     ("minutes of learning", "wall_seconds", 1, 1 / 60),
 )
 IN_TERMINAL = ("success_rate", "mean_return", "mean_episode_length", "wall_contact_rate", "steps_to_50_success")
-ANYWHERE = (
-    "mean_return",
-    "mean_episode_length",
-    "wall_seconds",
-)  # what every environment has; the rest is a corridor's
+# What every environment has; the rest is a corridor's.
+ANYWHERE = ("mean_return", "mean_episode_length", "wall_seconds")
 VERDICTS = {True: Text("yes", "green"), False: Text("no", "red"), None: Text("not decided", "yellow")}
 
 
