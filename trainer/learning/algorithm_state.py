@@ -164,28 +164,36 @@ class LastStep:
 
 
 class RandomStreams:
-    """The random streams that Stable-Baselines3 draws from: torch's and NumPy's, each the process's one."""
+    """The random streams that Stable-Baselines3 draws from: torch's, on a GPU too, and NumPy's; the process's own."""
 
     def __init__(self) -> None:
         self.note()
 
     def note(self) -> None:
         """Remembers the streams as they are now: what ``state_dict`` gives is of this moment."""
-        self._torch = torch.get_rng_state().numpy()
+        self._torch = {"torch": torch.get_rng_state().numpy()}
+        if torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
+            self._torch["cuda"] = torch.cuda.get_rng_state().numpy()
         self._numpy: Any = np.random.get_state(legacy=True)  # noqa: NPY002 - SB3's
 
     def state_dict(self) -> dict[str, Any]:
-        """``torch``, ``numpy`` (MT19937's key), and ``numpy_rest``: its position and the number that it has kept."""
+        """Theirs, by name.
+
+        ``torch``; ``cuda`` where a GPU computes; ``numpy``, MT19937's key, and ``numpy_rest``, its position and the
+        number that it has kept.
+        """
         _, keys, *rest = self._numpy
-        return {"torch": self._torch, "numpy": np.asarray(keys), "numpy_rest": rest}
+        return {**self._torch, "numpy": np.asarray(keys), "numpy_rest": rest}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Sets both streams.
+        """Sets these streams; a GPU's where there is one now and was one before.
 
         Raises:
             KeyError: Something is missing.
         """
         torch.set_rng_state(torch.from_numpy(state["torch"].copy()))
+        if "cuda" in state and torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
+            torch.cuda.set_rng_state(torch.from_numpy(state["cuda"].copy()))
         np.random.set_state(("MT19937", state["numpy"], *state["numpy_rest"]))  # noqa: NPY002 - SB3's
         self.note()
 

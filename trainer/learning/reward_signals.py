@@ -249,7 +249,7 @@ def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 def _seeded(seed: int) -> Iterator[None]:
     """Draws from a stream of its own inside; torch's stream goes on afterwards as if nothing had been drawn."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+        torch.default_generator.manual_seed(seed)  # of the CPU alone, where networks are made
         yield
 
 

@@ -56,6 +56,7 @@ class SceneTraining:
         checkpoint: Checkpoint | None = None,
     ) -> None:
         torch.set_num_threads(1)  # small networks: a second thread only takes the player's core
+        torch.backends.cudnn.deterministic = True  # its fastest gradients of pictures differ from run to run
         set_random_seed(config.seed)
         self._config, self._folder, self._scene, self._counters = config, folder, scene, counters
         self.learners = BehaviorLearners(config, scene)
