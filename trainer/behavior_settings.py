@@ -1,9 +1,9 @@
 """How one behavior is trained: a behavior's section of ``mlagents-learn``'s YAML, with ML-Agents' names and defaults.
 
 Names, defaults and what follows from what are those of mlagents 1.1.0; ranges are ours, where ML-Agents has none. Of
-what its YAML can say besides, these change nothing that is learned, and are taken and left out: ``threaded`` (steps on
-while it updates), ``framework`` (there is one), and the ``network_settings`` of the extrinsic reward (it has no
-network). The rest is refused, unless it is null or false, as in a file that ``mlagents-learn`` wrote.
+what its YAML can say besides, these change nothing, and are taken and left out: ``framework`` (there is one), and the
+``network_settings`` of the extrinsic reward (it has no network). The rest is refused, unless it is null or false, as in
+a file that ``mlagents-learn`` wrote.
 """
 
 from dataclasses import dataclass, replace
@@ -276,6 +276,7 @@ class BehaviorSettings(Settings):
         max_steps: Steps to train for.
         time_horizon: Steps of an agent after which its experience is used, though its episode goes on.
         summary_freq: Steps between two reports.
+        threaded: Whether PPO's updates run beside the next steps, which the policy before them decides.
     """
 
     SECTION: ClassVar = "a behavior"
@@ -283,7 +284,7 @@ class BehaviorSettings(Settings):
         "self_play": "no team plays against its past policies here; take self_play out",
         "behavioral_cloning": "nothing is learned from demonstrations here; take behavioral_cloning out",
     }
-    NO_EFFECT: ClassVar = {"threaded": bool, "framework": str}
+    NO_EFFECT: ClassVar = {"framework": str}
     trainer_type: TrainerType = "ppo"
     hyperparameters: Hyperparameters = PPOHyperparameters()
     network_settings: NetworkSettings = NetworkSettings()
@@ -295,6 +296,7 @@ class BehaviorSettings(Settings):
     max_steps: Steps = 500_000
     time_horizon: Count = 64
     summary_freq: Count = 50_000
+    threaded: bool = False
 
     def __post_init__(self) -> None:
         """Refuses values of another type or out of their range.

@@ -52,6 +52,7 @@ def test_the_defaults_are_those_of_mlagents():
         "max_steps": 500_000,
         "time_horizon": 64,
         "summary_freq": 50_000,
+        "threaded": False,
     }
     assert (CuriositySignal().learning_rate, RNDSignal().learning_rate) == (3e-4, 1e-4)
 
@@ -111,7 +112,6 @@ def test_even_checkpoints_divide_the_run():
 def test_what_changes_nothing_or_asks_for_nothing_is_taken_and_left_out():
     """A file that mlagents-learn wrote has every name that it knows."""
     written = {
-        "threaded": True,
         "framework": "pytorch",
         "self_play": None,
         "behavioral_cloning": None,

@@ -42,10 +42,15 @@ GRAVITY = {
         ]
     }
 }
+BESIDE = {**TAG, "adversary": {**TAG["adversary"], "threaded": True}}
 RESTORED = {
     "masks": (["--gym", "Taxi-v4"], {"behaviors": {"Taxi-v4": SETTINGS}}),
     "pictures": (["--gym", "minatar.gym:MinAtar/Breakout-v1"], {"default_settings": SETTINGS}),
     "two behaviors": (["--pettingzoo", "mpe2.simple_tag_v3", "--team", "agent=1"], {"behaviors": TAG}),
+    "updates beside the next steps": (
+        ["--pettingzoo", "mpe2.simple_tag_v3", "--team", "agent=1"],
+        {"behaviors": BESIDE},
+    ),
     "turns": (["--pettingzoo", "pettingzoo.classic.tictactoe_v3"], {"default_settings": SETTINGS}),
     "a curriculum in mid-lesson": (
         ["--gym", "CartPole-v1", "--parameters", "gravity"],

@@ -182,8 +182,17 @@ class Learner(ABC):
                 self.experience.act(each.asking, decided.rows(part))
 
     @abstractmethod
-    def learn(self) -> None:
-        """Learns from what was taken; agents that wait are decided for with the new policy."""
+    def learn(self) -> bool:
+        """Learns from what was taken; agents that wait are decided for with the new policy.
+
+        Returns:
+            Whether that is done. If not, it goes on beside, and ``finish`` waits for it; agents that wait are decided
+            for with the policy as it was before.
+        """
+
+    def finish(self) -> bool:
+        """Waits for learning that goes on beside; whether there was any."""
+        return False
 
     def weights(self) -> dict[str, NDArray[Any]]:
         """The policy's parameters by their names; views."""
@@ -231,8 +240,7 @@ class Learner(ABC):
             KeyError: Something is missing.
             RuntimeError: The policy has other parameters.
         """
-        weights = {name: torch.from_numpy(each.copy()) for name, each in part_of(state, "policy").items()}
-        self.policy.load_state_dict(weights)
+        self.policy.load_state_dict(tensors_of(part_of(state, "policy")))
         self.observations.load_state_dict(part_of(state, "observations"))
 
     @abstractmethod
@@ -295,3 +303,8 @@ def part_of(state: Mapping[str, Any], part: str) -> dict[str, Any]:
     """What ``state_dict`` has of one part."""
     start = f"{part}/"
     return {name.removeprefix(start): value for name, value in state.items() if name.startswith(start)}
+
+
+def tensors_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
+    """Copies, as ``load_state_dict`` of torch's modules takes them."""
+    return {name: torch.from_numpy(each.copy()) for name, each in arrays.items()}

@@ -1,7 +1,9 @@
 """PPO for one behavior of any kind, with a value head for each reward if so wished."""
 
+import copy
 from collections.abc import Mapping
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -10,7 +12,7 @@ from corridor_server.protocol.agents import Behavior
 from trainer.behavior_settings import BehaviorSettings, PPOHyperparameters
 from trainer.learning.actor_critic import ActorCritic
 from trainer.learning.lean_actor_critic import LeanActorCritic, flat
-from trainer.learning.learner import LOSS_TAGS, Learner, part_of
+from trainer.learning.learner import LOSS_TAGS, Learner, part_of, tensors_of
 from trainer.learning.ppo_update import PPOUpdate, minibatches
 from trainer.learning.rewards import IntrinsicReward, Signal
 from trainer.learning.tensors import CPU, tensor, tensors
@@ -27,8 +29,27 @@ from trainer.learning.transitions import (
 CHUNK = 1024  # observations that are valued at once: pictures need memory
 
 
+class _Updated(NamedTuple):
+    """What an update made of transitions.
+
+    Attributes:
+        metrics: What there is to log.
+        episodes: Of each transition, (n,).
+        intrinsic: Its rewards of the learner's own making, (n,); None if there are none.
+        over: Episodes that had ended when they were taken.
+    """
+
+    metrics: dict[str, float]
+    episodes: Indices
+    intrinsic: Singles | None
+    over: list[int]
+
+
 class PPOLearner(Learner):
     """Learns one behavior, whatever its teams.
+
+    With ``threaded`` an update runs beside the next steps: agents are decided for with the policy before it until there
+    is enough for the next one. When that is depends on steps alone, never on who is fast.
 
     Args:
         behavior: What its agents observe and do.
@@ -63,8 +84,11 @@ class PPOLearner(Learner):
             shared_critic=self._own.shared_critic,
         )
         self.policy.to(device)
-        fits = LeanActorCritic.fits(self.policy)
-        self._lean = LeanActorCritic(self.policy, behavior.discrete_branches) if fits else None
+        self._acting_policy = copy.deepcopy(self.policy) if settings.threaded else self.policy
+        self._lean = _lean(self.policy, behavior)
+        self._acting_lean = _lean(self._acting_policy, behavior) if settings.threaded else self._lean
+        self._beside = ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,))
+        self._running: Future[_Updated] | None = None
         self._ppo = PPOUpdate(self.policy, self._own, self._lean)
         self._generator = np.random.default_rng(seed)
         # A terminated episode is worth nothing more to the environment's reward; of curiosity there is more to come.
@@ -73,28 +97,37 @@ class PPOLearner(Learner):
         self._sums: dict[int, float] = {}  # of intrinsic rewards, by episode
         self._over: list[int] = []  # episodes that ended since the last update
 
-    def learn(self) -> None:
-        """Makes an update of what was taken; agents that wait are decided for with the new policy."""
+    def learn(self) -> bool:
+        """Makes an update of what was taken, or begins one; see ``Learner.learn``."""
+        self.finish()
         progress = self.progress
         transitions = self._take_closed()
-        worth = self._values(transitions.observations)
-        self._check_finite(worth)
-        values, next_values = worth[transitions.seen], worth[transitions.next_seen]
-        next_values[transitions.terminated] *= self._after_end
-        rewards = self._rewards(transitions)
-        advantage, returns = self._targets(transitions, rewards, values, next_values)
-        batches = [each for _ in range(self._own.num_epoch) for each in self._minibatches(transitions)]
-        self.metrics |= self._ppo.update(transitions, advantage, returns, values[:, 0], progress, batches)
-        for head, signal in enumerate(self._signals[: self._heads]):
-            estimate = float(values[:, head].mean())
-            self.metrics[f"Policy/{signal.name.capitalize()} Value Estimate"] = estimate
-        self.metrics |= self._learn_signals(transitions)
-        self.updates += 1
+        over, self._over = self._over, []
+        if self.settings.threaded and not self.is_done:
+            self._running = self._beside.submit(self._update, transitions, over, progress)
+            return False
+        self._conclude(self._update(transitions, over, progress))
+        self._act_as_learned()
+        return True
+
+    def finish(self) -> bool:
+        """Waits for an update that runs beside; from here on, agents are decided for with what it made."""
+        was_running = self._wait()
+        self._act_as_learned()
+        return was_running
+
+    def play(self) -> None:
+        """See ``Learner.play``."""
+        self.finish()
+        super().play()
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, between two messages: arrays and plain values, by ``<part>/<name>``."""
+        self._wait()
+        acting = self._acting_policy.state_dict() if self.settings.threaded else {}
         return {
             **super().state_dict(),
+            **{f"acting/{name}": each.cpu().numpy() for name, each in acting.items()},
             **{f"optimizer/{name}": value for name, value in self._ppo.state_dict().items()},
             "sums": [[number, total] for number, total in self._sums.items()],
             "over": list(self._over),
@@ -109,20 +142,62 @@ class PPOLearner(Learner):
             RuntimeError: The policy has other parameters.
         """
         super().load_state_dict(state)
+        if self.settings.threaded:
+            self._acting_policy.load_state_dict(tensors_of(part_of(state, "acting")))
         self._ppo.load_state_dict(part_of(state, "optimizer"))
         self._sums = {int(number): total for number, total in state["sums"]}
         self._over = list(state["over"])
         self._generator.bit_generator.state = state["random"]
 
+    def load_policy(self, state: Mapping[str, Any]) -> None:
+        """See ``Learner.load_policy``."""
+        super().load_policy(state)
+        self._act_as_learned()
+
+    def _update(self, transitions: Transitions, over: list[int], progress: float) -> _Updated:
+        """Learns from transitions; of what the main thread changes meanwhile, it touches nothing."""
+        worth = self._values(transitions.observations)
+        self._check_finite(worth)
+        values, next_values = worth[transitions.seen], worth[transitions.next_seen]
+        next_values[transitions.terminated] *= self._after_end
+        rewards = self._rewards(transitions)
+        advantage, returns = self._targets(transitions, rewards, values, next_values)
+        batches = [each for _ in range(self._own.num_epoch) for each in self._minibatches(transitions)]
+        metrics = self._ppo.update(transitions, advantage, returns, values[:, 0], progress, batches)
+        for head, signal in enumerate(self._signals[: self._heads]):
+            estimate = float(values[:, head].mean())
+            metrics[f"Policy/{signal.name.capitalize()} Value Estimate"] = estimate
+        metrics |= self._learn_signals(transitions)
+        own = [each for each, signal in zip(rewards, self._signals, strict=True) if signal.module is not None]
+        return _Updated(metrics, transitions.episodes, np.sum(own, axis=0) if own else None, over)
+
+    def _wait(self) -> bool:
+        """Waits for an update that runs beside; whether there was one."""
+        if self._running is None:
+            return False
+        running, self._running = self._running, None
+        self._conclude(running.result())
+        return True
+
+    def _conclude(self, updated: _Updated) -> None:
+        self.metrics |= updated.metrics
+        if updated.intrinsic is not None:
+            self._add_up(updated.episodes, updated.intrinsic, updated.over)
+        self.updates += 1
+
+    def _act_as_learned(self) -> None:
+        if self.settings.threaded:
+            self._acting_policy.load_state_dict(self.policy.state_dict())
+
     def _is_enough(self, transitions: int) -> bool:
         return transitions >= min(self._own.buffer_size, self.settings.max_steps - self.learned)
 
     def _decide(self, observed: Observed, deterministic: bool) -> Decided:
-        if self._lean is not None:
+        if self._acting_lean is not None:
             rows = flat(observed.observations)
-            noise = None if deterministic else self._lean.noise(len(rows))
-            return Decided(*self._lean.act(rows, observed.allowed, noise))
-        acted = self.policy.act(
+            noise = None if deterministic else self._acting_lean.noise(len(rows))
+            return Decided(*self._acting_lean.act(rows, observed.allowed, noise))
+        acted = self._acting_policy.act(
             tensors(observed.observations, self._device), tensor(observed.allowed, self._device), deterministic
         )
         return Decided(*(part.cpu().numpy() for part in acted))
@@ -142,16 +217,11 @@ class PPOLearner(Learner):
 
     def _rewards(self, transitions: Transitions) -> list[Singles]:
         """Of each signal, (n,), times its strength."""
-        found = [
+        return [
             (transitions.rewards if signal.module is None else self._reward(signal.module, transitions))
             * np.float32(signal.strength)
             for signal in self._signals
         ]
-        learned = [each for each, signal in zip(found, self._signals, strict=True) if signal.module is not None]
-        if learned:
-            self._add_up(transitions, np.sum(learned, axis=0))
-        self._over.clear()
-        return found
 
     def _reward(self, module: IntrinsicReward, transitions: Transitions) -> Singles:
         seen, then = (tensors(each, self._device) for each in (transitions.observed, transitions.next_observed))
@@ -159,14 +229,14 @@ class PPOLearner(Learner):
         continuous, discrete = tensors((decided.continuous, decided.discrete), self._device)
         return module.reward(seen, continuous, discrete, then)
 
-    def _add_up(self, transitions: Transitions, rewards: Singles) -> None:
+    def _add_up(self, episodes: Indices, rewards: Singles, over: list[int]) -> None:
         """Adds intrinsic rewards to their episodes, and takes those that are over into the last ones' window."""
-        numbers, which = np.unique(transitions.episodes, return_inverse=True)
+        numbers, which = np.unique(episodes, return_inverse=True)
         for number, total in zip(numbers.tolist(), np.bincount(which, rewards).tolist(), strict=True):
             self._sums[number] = self._sums.get(number, 0.0) + total
-        self.recent["intrinsic"].extend(self._sums.pop(number, 0.0) for number in self._over)
-        running = self.experience.running  # a player that died says no end of its episodes
-        self._sums = {number: total for number, total in self._sums.items() if number in running}
+        self.recent["intrinsic"].extend(self._sums.pop(number, 0.0) for number in over)
+        expected = self.experience.running | {*self._over}  # a player that died says no end of its episodes
+        self._sums = {number: total for number, total in self._sums.items() if number in expected}
         self.metrics["rollout/intrinsic_reward"] = float(rewards.mean())
 
     def _targets(
@@ -203,3 +273,8 @@ class PPOLearner(Learner):
             for name in losses[0]:
                 metrics[LOSS_TAGS[name]] = float(np.mean([loss[name] for loss in losses]))
         return metrics
+
+
+def _lean(policy: ActorCritic, behavior: Behavior) -> LeanActorCritic | None:
+    """A policy in NumPy, if it has such a form."""
+    return LeanActorCritic(policy, behavior.discrete_branches) if LeanActorCritic.fits(policy) else None

@@ -65,8 +65,8 @@ class SACLearner(Learner):
         self.replay = self._sac.replay_buffer
         self._signal_updates = 0
 
-    def learn(self) -> None:
-        """Stores what was taken, and makes the updates that are due."""
+    def learn(self) -> bool:
+        """Stores what was taken, and makes the updates that are due; see ``Learner.learn``."""
         transitions = self._take_closed()
         self.replay.store(transitions)
         updates, signal_updates = self._due(self.learned, self.replay.size())
@@ -78,6 +78,7 @@ class SACLearner(Learner):
         if signal_updates and self.is_curious:
             self._learn_signals(signal_updates)
         self._signal_updates += signal_updates
+        return True
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, between two messages: arrays and plain values, by ``<part>/<name>``."""

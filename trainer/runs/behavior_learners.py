@@ -88,12 +88,13 @@ class BehaviorLearners:
         for learner in self._learners.values():
             learner.remember()
 
+    def finish(self) -> bool:
+        """Has every learner that has enough for an update end the one that runs beside; returns whether one did."""
+        return sum(learner.finish() for learner in self._learners.values() if learner.is_full) > 0
+
     def learn(self) -> bool:
-        """Has every learner that has enough make an update; returns whether one had."""
-        full = [learner for learner in self._learners.values() if learner.is_full]
-        for learner in full:
-            learner.learn()
-        return bool(full)
+        """Has every learner that has enough make an update; returns whether one is done."""
+        return sum(learner.learn() for learner in self._learners.values() if learner.is_full) > 0
 
     def act(self) -> list[dict[str, ActionBatch]]:
         """Decides for all agents that asked: for each player, by full behavior names."""

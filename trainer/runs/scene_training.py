@@ -101,6 +101,9 @@ class SceneTraining:
                     counters.wall_seconds = earlier.wall_seconds + time.monotonic() - started
                     counters.exchange_seconds = earlier.exchange_seconds + scene.exchange_seconds
                     counters.restarts = earlier.restarts + scene.restarts
+                    if learners.finish():  # of the updates that ran beside these steps; the next ones begin after it
+                        self._report(display)
+                        self._save_update()
                     if learners.learn():
                         self._report(display)  # first: a run that is cut in between drops rows, but misses none
                         self._save_update()
