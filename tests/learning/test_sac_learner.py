@@ -262,7 +262,7 @@ def test_a_served_environment_with_choices_is_refused_before_anything_is_written
 
 
 @pytest.mark.slow
-def test_a_run_that_was_stopped_and_resumed_is_the_same_run(tmp_path, free_port):
+def test_a_run_that_was_killed_and_resumed_is_the_same_run(tmp_path, free_port):
     """On the corridor, whose player can say where its areas are."""
     file = settings_file(
         tmp_path,
@@ -278,13 +278,13 @@ default_settings:
     options = (file, "--num-areas", 4, "--eval-episodes", 1)
     whole, cut = (PreparedRun(tmp_path, name, free_port, *options) for name in ("whole", "cut"))
     assert whole.finish() == 0, whole.output
-    assert stop_with(cut, signal.SIGINT, 200, 0.01) == 130
+    assert stop_with(cut, signal.SIGKILL, 200, 0.01) == -signal.SIGKILL
     assert cut.finish("--resume") == 0, cut.output
     cut.equals(whole)
 
 
 @pytest.mark.slow
-def test_a_served_pendulum_is_learned_and_a_killed_run_goes_on(tmp_path, free_port):
+def test_a_served_pendulum_is_learned(tmp_path, free_port):
     """Returns near -1,200 are those of a policy that has learned nothing, and -150 of one that balances."""
     file = settings_file(
         tmp_path,
@@ -307,13 +307,8 @@ behaviors:
 """,
     )
     run = PreparedRun(tmp_path, "r", free_port, file, "--eval-episodes", 8)
-    process = run.start()
-    run.wait_for_steps(process, 1200)
-    process.kill()
-    run.wait(process)
-    assert run.finish("--resume") == 0, run.output
+    assert run.finish() == 0, run.output
     summary = run.summary()
-    assert summary["resumes"] == 1
     assert summary["env_steps"] >= 3600
     assert float(run.rows()[1]["mean_return"]) < -900
     assert summary["evaluation"]["mean_return"] > -500

@@ -21,7 +21,7 @@ SETTINGS = {
     "hyperparameters": {"batch_size": 32, "buffer_size": 128, "num_epoch": 2},
     "network_settings": {"hidden_units": 16, "num_layers": 1},
 }
-TAG = {"adversary": {**SETTINGS, "max_steps": 2400}, "agent": {**SETTINGS, "max_steps": 800}}
+TAG = {"adversary": {**SETTINGS, "max_steps": 2400, "threaded": True}, "agent": {**SETTINGS, "max_steps": 800}}
 GRAVITY = {
     "gravity": {
         "curriculum": [
@@ -42,14 +42,12 @@ GRAVITY = {
         ]
     }
 }
-BESIDE = {**TAG, "adversary": {**TAG["adversary"], "threaded": True}}
 RESTORED = {
     "masks": (["--gym", "Taxi-v4"], {"behaviors": {"Taxi-v4": SETTINGS}}),
     "pictures": (["--gym", "minatar.gym:MinAtar/Breakout-v1"], {"default_settings": SETTINGS}),
-    "two behaviors": (["--pettingzoo", "mpe2.simple_tag_v3", "--team", "agent=1"], {"behaviors": TAG}),
-    "updates beside the next steps": (
+    "two behaviors, updates of one beside the next steps": (
         ["--pettingzoo", "mpe2.simple_tag_v3", "--team", "agent=1"],
-        {"behaviors": BESIDE},
+        {"behaviors": TAG},
     ),
     "turns": (["--pettingzoo", "pettingzoo.classic.tictactoe_v3"], {"default_settings": SETTINGS}),
     "a curriculum in mid-lesson": (

@@ -77,10 +77,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path, free_port, monk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("players", [1, 2])
-def test_a_killed_run_of_the_corridor_ends_as_one_that_was_not(tmp_path, free_port, players):
+def test_a_killed_run_of_the_corridor_ends_as_one_that_was_not(tmp_path, free_port):
     settings = write(tmp_path, LISTED, steps=3000, name="Corridor")
-    options = (settings, "--num-areas", 8 // players, "--num-envs", players, "--eval-episodes", 2)
+    options = (settings, "--num-areas", 4, "--num-envs", 2, "--eval-episodes", 2)
     whole, cut = (PreparedRun(tmp_path, name, free_port, *options) for name in ("whole", "cut"))
     assert whole.finish() == 0, whole.output
     kill(cut, 1000)
