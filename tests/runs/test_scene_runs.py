@@ -3,6 +3,7 @@
 import csv
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +131,14 @@ def test_a_cut_run_whose_player_says_its_state_counts_only_what_a_resumed_one_go
     with pytest.raises(TrainerError, match="is gone"):
         training.train(lambda agents: None)
     assert counters.env_steps == read_checkpoint(tmp_path / "r" / "checkpoints").facts["env_steps"] == 8
+
+
+def test_updates_beside_the_next_steps_have_a_row_each_and_the_last_two_one(config, tmp_path):
+    beside = replace(config, default_settings={**SETTINGS, "threaded": True, "summary_freq": 1})
+    training = train(beside, tmp_path / "r", Walkers())
+    ((_, learner),) = training.learners
+    assert learner.updates == 10
+    assert [row["env_steps"] for row in rows(tmp_path / "r")] == [str(8 * number) for number in range(2, 11)]
 
 
 @pytest.mark.parametrize("cut_after", [9, 10, 13])

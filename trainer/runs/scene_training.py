@@ -254,7 +254,8 @@ class SceneTraining:
             if log is None:
                 path = self._folder.behavior(name, self.is_only(name)).path
                 self._logs[name] = log = BehaviorLog(path, self._before.get(name, 0), learner.settings.summary_freq)
-            if learner.learned == log.learned:
+            last_is_due = learner.steps >= learner.settings.max_steps and not learner.is_done
+            if learner.learned == log.learned or last_is_due:  # that one follows at once, and has the row
                 continue
             log.learned = learner.learned
             display.update(self._lines[name], log.snapshot(learner))
