@@ -90,11 +90,13 @@ class BehaviorLearners:
 
     def finish(self) -> bool:
         """Has every learner that has enough for an update end the one that runs beside; returns whether one did."""
-        return sum(learner.finish() for learner in self._learners.values() if learner.is_full) > 0
+        ended = [learner.finish() for learner in self._learners.values() if learner.is_full]
+        return any(ended)
 
     def learn(self) -> bool:
         """Has every learner that has enough make an update; returns whether one is done."""
-        return sum(learner.learn() for learner in self._learners.values() if learner.is_full) > 0
+        done = [learner.learn() for learner in self._learners.values() if learner.is_full]
+        return any(done)
 
     def act(self) -> list[dict[str, ActionBatch]]:
         """Decides for all agents that asked: for each player, by full behavior names."""
