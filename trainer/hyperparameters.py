@@ -117,6 +117,8 @@ class CuriosityConfig(Settings):
             switch, in its features for longer.
         minibatches: Gradient steps per update; each transition is used once.
         forward_weight: Share of the forward model's loss; the inverse model has the rest.
+        feature_error: How the squared error of a feature counts in eq. 6: ``plain``, or ``over_variance``, over the
+            feature's running variance, so that r_i keeps its size over a run and from seed to seed. ICM's alone.
         intrinsic: ``icm``, the module of Fig. 2, or ``rnd``, random network distillation (ref. [14]).
         rnd_scale: ``scale`` for ``rnd``; with it, r_i is at first about as large as with ``icm``.
         next_state: What follows an episode's last state: ``terminal``, its own last observation, or ``reset``, the
@@ -132,6 +134,7 @@ class CuriosityConfig(Settings):
     encoder_rate: Positive = 0.001
     minibatches: Count = 8
     forward_weight: Share = 0.2
+    feature_error: Literal["plain", "over_variance"] = "plain"
     next_state: Literal["terminal", "reset"] = "reset"
     intrinsic: Intrinsic = "icm"
     rnd_scale: Positive = 0.75

@@ -1,7 +1,8 @@
 """What a run begins as, before anything else is asked for."""
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from trainer.config import PresetName, RunConfig
@@ -13,22 +14,32 @@ CURIOSITY_RATIO = 0.3  # what the case studies have
 
 @dataclass(frozen=True)
 class Preset:
-    """A way to train: how many areas, over which path, with which hyperparameters."""
+    """A way to train.
+
+    Attributes:
+        num_areas: In each player.
+        through_gym: One area through ``UnityToGymWrapper``, instead of all agents in lockstep.
+        ppo: PPO's hyperparameters, and what other algorithms have in common with it.
+        curiosity: The intrinsic reward, and how its networks learn.
+        corridor: Environment parameters over those of the corridor that all presets train in.
+    """
 
     num_areas: int
     through_gym: bool
     ppo: PPOConfig
     curiosity: CuriosityConfig
+    corridor: Mapping[str, float] = field(default_factory=dict)
 
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # More than twice the r_i, of a quicker encoder: what the studies' runs were made with (docs/calibration.md).
+    # A longer way, a smaller gamma and an r_i of steady size: where c = 0.5 overwhelms (docs/threshold.md).
     "case-studies": Preset(
         num_areas=128,
         through_gym=False,
-        ppo=PPOConfig(),
-        curiosity=CuriosityConfig(scale=3.0, encoder_rate=0.01, rnd_scale=1.8),
+        ppo=PPOConfig(gamma=0.91),
+        curiosity=CuriosityConfig(scale=0.165, feature_error="over_variance"),
+        corridor={"goal_x": 8.0, "half_width": 6.5, "opponent_target_z": 1.0},
     ),
     # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
     # of fast's steps in an update bear a lower rate only (docs/calibration.md). Curiosity is what its full runs had
@@ -79,7 +90,7 @@ def preset_run(
     """
     chosen, given = base or PRESETS[preset], environment_parameters or {}
     both_ends = {f"{name}_{end}" for name in given for end in ("min", "max")}  # "agent_spawn_x" sets both
-    corridor = {name: value for name, value in CORRIDOR.items() if name not in both_ends}
+    corridor = {name: value for name, value in {**CORRIDOR, **chosen.corridor}.items() if name not in both_ends}
     return RunConfig(
         run_id=run_id,
         env=env,

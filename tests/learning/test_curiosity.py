@@ -75,6 +75,36 @@ def test_eq_6_and_both_losses_by_hand():
     assert inverse_loss == pytest.approx((math.tanh(next_phi - phi) + 0.25) ** 2)
 
 
+def test_a_features_error_over_its_running_variance():
+    """The first minibatch counts whole, the second half, and so on until the last 250 count alike."""
+    plain, own = (module(3, learning_rate=1e-9, feature_error=each) for each in ("plain", "over_variance"))
+    rng = np.random.default_rng(0)
+    s, s_next = rng.normal(size=(2, 2, 64, 3)).astype(np.float32)
+    a = rng.uniform(-1, 1, (2, 64, 2)).astype(np.float32)
+    assert own.intrinsic_reward(s[0], a[0], s_next[0]) == pytest.approx(plain.intrinsic_reward(s[0], a[0], s_next[0]))
+    for each in range(2):
+        own.learn(s[each], a[each], s_next[each])
+    first, second = (plain.encoder(each)[1] for each in s_next)
+    mean = (first.mean(axis=0) + second.mean(axis=0)) / 2
+    variance = (np.square(first - first.mean(axis=0)).mean(axis=0) + np.square(second - mean).mean(axis=0)) / 2
+    predicted = plain.forward_model(np.concatenate((plain.encoder(s[0])[1], a[0]), axis=1))[1]
+    expected = 0.5 * (np.square(predicted - first) / variance).sum(axis=1)
+    assert own.intrinsic_reward(s[0], a[0], s_next[0]) == pytest.approx(expected, rel=1e-4)
+    again = module(3, feature_error="over_variance")
+    again.load_state_dict(own.state_dict())
+    np.testing.assert_array_equal(*(each.intrinsic_reward(s[1], a[1], s_next[1]) for each in (again, own)))
+    assert own.state_dict()["features/minibatches"] == 2
+
+
+def test_the_oldest_minibatches_fade():
+    icm, rng = module(3, learning_rate=1e-9, feature_error="over_variance"), np.random.default_rng(0)
+    for spread in [10.0] * 50 + [0.1] * 3000:
+        s = rng.normal(0, spread, (64, 3)).astype(np.float32)
+        icm.learn(s, np.zeros((64, 2), np.float32), s)
+    now = icm.encoder(rng.normal(0, 0.1, (10_000, 3)).astype(np.float32))[1].var(axis=0)
+    assert icm.state_dict()["features/variance"] == pytest.approx(now, rel=0.1)
+
+
 @pytest.mark.parametrize("action_space", [BOX, spaces.Discrete(3)])
 def test_the_gradient_is_autograds(action_space):
     icm, rng = module(5, action_space, forward_weight=0.3), np.random.default_rng(1)

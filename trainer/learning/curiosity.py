@@ -112,8 +112,7 @@ class Curiosity(VecEnvWrapper):
     def state_dict(self) -> dict[str, Any]:
         """All that it has learned, the state of its random stream, and the last update's metrics."""
         self.learn()
-        learned: dict[str, Any] = dict(self.module.adam.state_dict())
-        return learned | {"random": self.generator.bit_generator.state, "metrics": self.metrics}
+        return self.module.state_dict() | {"random": self.generator.bit_generator.state, "metrics": self.metrics}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Takes over what ``state_dict`` gave.
@@ -122,7 +121,7 @@ class Curiosity(VecEnvWrapper):
             KeyError: Something is missing.
             ValueError: An array is of another size.
         """
-        self.module.adam.load_state_dict(state)
+        self.module.load_state_dict(state)
         self.generator.bit_generator.state = state["random"]
         self.metrics = dict(state["metrics"])
 

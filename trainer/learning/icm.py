@@ -1,5 +1,8 @@
 """The intrinsic curiosity module of Fig. 2 (ref. [12]): what the agent can't predict of its own doing is rewarding."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -7,6 +10,9 @@ from numpy.typing import NDArray
 from trainer.hyperparameters import CuriosityConfig
 from trainer.learning.kernels import Singles
 from trainer.learning.networks import Network, joined
+
+LEAST_WEIGHT = 0.004  # of a minibatch in the features' running moments: about the last 250 of them count
+TINY = np.float32(1e-6)  # the least variance: a feature that never changes
 
 
 class IntrinsicCuriosityModule:
@@ -46,9 +52,14 @@ class IntrinsicCuriosityModule:
         self._forward_weight = np.float32(config.forward_weight)
         self.adam.factors[: self.encoder.size] = config.encoder_rate
         self._rate = config.learning_rate
+        self._over_variance = config.feature_error == "over_variance"
+        self._mean, self._variance = np.zeros(self._features, np.float32), np.ones(self._features, np.float32)
+        self._minibatches = 0
 
     def intrinsic_reward(self, observations: Singles, actions: Singles, next_observations: Singles) -> Singles:
         """r_i of eq. 6, (n,): half the squared distance between predicted and actual features.
+
+        With ``over_variance`` each feature's part is divided by its running variance.
 
         Args:
             observations: (n, observation size).
@@ -59,6 +70,8 @@ class IntrinsicCuriosityModule:
         _, features = self.encoder(np.concatenate((observations, next_observations)))
         _, predicted = self.forward_model(np.concatenate((features[:count], self._inputs(actions)), axis=1))
         predicted -= features[count:]
+        if self._over_variance:
+            predicted /= np.sqrt(self._variance)
         reward: Singles = np.float32(0.5) * np.einsum("ij,ij->i", predicted, predicted)
         return reward
 
@@ -91,9 +104,37 @@ class IntrinsicCuriosityModule:
 
     def learn(self, observations: Singles, actions: Singles, next_observations: Singles) -> dict[str, float]:
         """One gradient step on a minibatch; returns its ``forward_loss`` and ``inverse_loss``."""
+        if self._over_variance:
+            self._note(self.encoder(next_observations)[1])
         forward_loss, inverse_loss = self.differentiate(observations, actions, next_observations)
         self.adam.descend(self._rate)
         return {"forward_loss": float(forward_loss), "inverse_loss": float(inverse_loss)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Weights and moments of Adam; with ``over_variance`` those of the features, too."""
+        moments = {"mean": self._mean.copy(), "variance": self._variance.copy(), "minibatches": self._minibatches}
+        own = {f"features/{name}": value for name, value in moments.items()} if self._over_variance else {}
+        return {**self.adam.state_dict(), **own}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over what ``state_dict`` gave.
+
+        Raises:
+            KeyError: Something is missing.
+            ValueError: An array is of another size.
+        """
+        self.adam.load_state_dict(state)
+        if self._over_variance:
+            self._mean[:], self._variance[:] = state["features/mean"], state["features/variance"]
+            self._minibatches = int(state["features/minibatches"])
+
+    def _note(self, features: Singles) -> None:
+        """Takes a minibatch's features into their running mean and variance."""
+        weight = np.float32(max(1 / (self._minibatches + 1), LEAST_WEIGHT))
+        self._mean += weight * (features.mean(axis=0) - self._mean)
+        self._variance += weight * (np.square(features - self._mean).mean(axis=0) - self._variance)
+        np.maximum(self._variance, TINY, out=self._variance)
+        self._minibatches += 1
 
     def _inputs(self, actions: Singles) -> Singles:
         if not self._choices:

@@ -1,5 +1,6 @@
 """Random network distillation (ref. [14], section II-B): what the agent has seldom seen is rewarding."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -51,3 +52,16 @@ class RandomNetworkDistillation:
         self.predictor.differentiate(given, error)
         self.adam.descend(self._rate)
         return {"rnd_loss": loss}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The predictor's weights and moments of Adam; the seed alone decides the other network."""
+        return dict(self.adam.state_dict())
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over what ``state_dict`` gave.
+
+        Raises:
+            KeyError: Something is missing.
+            ValueError: An array is of another size.
+        """
+        self.adam.load_state_dict(state)
