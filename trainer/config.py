@@ -31,7 +31,7 @@ PAPER_STEPS = 1_500_000
 RESULTS = Path("results")  # where runs are kept unless told otherwise
 BASE_PORT = 5005  # mlagents-learn's
 EDITOR_TIME_SCALE = 100  # the most that the Unity editor takes
-PresetName = Literal["fast", "case-studies", "paper"]
+PresetName = Literal["fast", "case-studies", "threshold", "paper"]
 ExecutorName = Literal["local", "ray"]
 Device = Literal["auto", "cpu", "cuda"]
 Restarts = Annotated[int, Range(-1, otherwise="a whole number from 0 up was expected, or -1: no limit")]

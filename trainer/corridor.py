@@ -30,8 +30,8 @@ WALL_CONTACTS = "Corridor/Wall Contacts"
 # The environment parameter that --penalty sets.
 PENALTY = "failure_penalty"
 DEFAULT_PENALTY = 1.0
-# The corridor that presets ask a player for, on which curiosity decides between failure and success
-# (docs/calibration.md).
+# The corridor that presets ask a player for, but for what they have of their own. On it curiosity decides between
+# failure and success (docs/calibration.md).
 CORRIDOR = as_environment_parameters()
 # Who has which colour on a figure.
 LEARNER_COLOUR, OPPONENT_COLOUR, SWITCH_COLOUR, WALL_COLOUR = map(

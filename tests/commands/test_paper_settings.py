@@ -101,7 +101,7 @@ def test_what_cant_be_used_is_refused_with_its_line(capsys, tmp_path):
     cases = {
         "hyperparameters:\n      gama: 1\n": "line 5: hyperparameters has no 'gama'; the nearest name is gamma",
         "curiosity: {c: -1}\n": "it.yaml, line 4: The setting c is -1, but",
-        "preset: fats\n": "it.yaml, line 4: The setting preset is 'fats', but one of fast, case-studies, paper was",
+        "preset: fats\n": "it.yaml, line 4: The setting preset is 'fats', but one of fast, case-studies, threshold",
         "own_hyperparameters: {tau: 1}\n": "line 4: own_hyperparameters are of algorithms other than 'ppo'",
         "max_steps: x": "line 4: The setting max_steps is 'x', but",
         "penalty: 1\n  Other: {}\n": only,

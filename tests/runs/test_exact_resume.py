@@ -32,7 +32,7 @@ def test_two_players_with_samplers(tmp_path, free_port):
         "    sampler_parameters: {mean: 1, st_dev: 0.3}\n"
     )
     players = ("--num-envs", 2, "--num-areas", 4, "--config", settings)
-    learning = ("--preset", "case-studies", "--steps", 1_000, "--eval-episodes", 2)
+    learning = ("--preset", "threshold", "--steps", 1_000, "--eval-episodes", 2)
     stopped_and_resumed(tmp_path, free_port, signal.SIGINT, 500, *players, *learning)
 
 

@@ -54,15 +54,15 @@ def test_a_scene_that_ignores_num_areas_trains_says_so_resumes_and_exports(train
     assert main(["export", str(tmp_path / "r"), "--onnx", str(tmp_path / "raw.onnx")]) == 0
 
 
-@pytest.mark.parametrize("preset", ["fast", "paper"])
-def test_a_build_with_a_corridor_is_told_the_presets_before_training_begins(train, tmp_path, preset):
+@pytest.mark.parametrize(("preset", "own"), [("fast", {}), ("paper", {}), ("threshold", {"half_width": 6.5})])
+def test_a_build_with_a_corridor_is_told_the_presets_before_training_begins(train, tmp_path, preset, own):
     player, log = write_player(tmp_path, behavior="Corridor?team=0", size=13)
     given = ("--env-param", "gravity=2", "goal_x=6", "--penalty", 0.5, "--preset", preset)
     areas = () if preset == "paper" else ("--num-areas", 1)
     train(player, *given, *areas, "--steps", 40)
     told = events(log, "reset")
     assert told[0] == {"gravity": 2.0, "goal_x": 6.0}
-    assert {"failure_penalty": 0.5, "agent_speed": 3.0, "goal_radius": 2.0}.items() <= told[1].items()
+    assert {"failure_penalty": 0.5, "agent_speed": 3.0, "goal_radius": 2.0, **own}.items() <= told[1].items()
     assert "goal_x" not in told[1]
 
 

@@ -279,6 +279,19 @@ def test_a_study_pays_for_the_curiosity_that_its_file_has():
     assert all(each.curiosity is None for each in by_c.values())
 
 
+def test_gamma_is_varied_only_from_the_one_that_the_figure_says(tmp_path, capsys):
+    assert main(["study", "dose-response", "--preset", "threshold", "--results-dir", str(tmp_path)]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "gamma is 0.91 in preset threshold, but study dose-response compares 0.96 with others; take a preset" in said
+
+
+def test_a_preset_can_have_a_corridor_of_its_own():
+    own, usual = (PENALTY.runs(corridor_world(preset, 4_000), [0])["c0.3"][0] for preset in ("threshold", "fast"))
+    changed = {"goal_x": 8.0, "half_width": 6.5, "opponent_target_z": 1.0}
+    assert own.environment_parameters == usual.environment_parameters | changed
+    assert set(own.preset_parameters) == set(own.environment_parameters)
+
+
 def test_case_studies_train_what_both_need_once():
     names = [arm.name for arm in CASE_STUDIES.arms]
     assert len(names) == len(set(names)) == 6

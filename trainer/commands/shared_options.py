@@ -49,8 +49,9 @@ class TrainingOptions(Options):
     preset: Annotated[
         PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET}; of studies {STUDIED})")
     ] = None
-    """fast: many copies of the training area at once; case-studies: the same with a longer way, as the studies have it;
-    paper: one area, through UnityToGymWrapper, as the paper did."""
+    """fast: many copies of the training area at once; case-studies: the same with a larger r_i, as the studies have it;
+    threshold: the same with a longer way, where c = 0.5 is too much; paper: one area, through UnityToGymWrapper, as the
+    paper did."""
     steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,})")] = None
     """How many decisions to learn from, all agents' together (agent steps); over a file's max_steps."""
     eval_episodes: Count = 200

@@ -87,6 +87,12 @@ class StudyOptions(Options):
             else:
                 world = plan.World(name_of(train), partial(run_of, train), train.training.preset)
                 study = study if train.environment.env == "builtin" else study.elsewhere(world)
+            begun = world.run(study.arms[0], self.first_seed).ppo.gamma
+            if study.gamma not in (None, begun):
+                raise TrainerError(
+                    f"gamma is {begun:g} in {world.name}, but study {self.name} compares {study.gamma:g} with others; "
+                    f"take a preset or a file that has it, such as --preset {STUDIED}."
+                )
             executor: executors.Executor
             if self.executor == "ray":
                 executor = RayExecutor(self.address)

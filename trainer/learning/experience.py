@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Agents, Behavior
-from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Rows, Singles, Transitions
+from trainer.learning.transitions import (
+    Decided,
+    EndedEpisode,
+    Indices,
+    Observed,
+    RowNumbers,
+    Rows,
+    Singles,
+    Transitions,
+)
 
 Agent = tuple[int, str, int]  # player, full name of the behavior, id
 _NONE = -1
@@ -48,6 +57,7 @@ class Experience:
             "episodes": Rows((), np.intp),
             "terminated": Rows((), np.bool_),
         }
+        self._numbers = RowNumbers()
         self.closed = 0
         self.ended: list[EndedEpisode] = []
         self.undecided = 0
@@ -145,7 +155,7 @@ class Experience:
             decided: What they do.
         """
         count, columns = len(asking.slots), self._columns
-        begun = np.arange(len(self), len(self) + count)
+        begun = self._numbers(len(self), count)
         columns["continuous"].append(decided.continuous)
         columns["discrete"].append(decided.discrete)
         columns["log_probs"].append(decided.log_probs)
@@ -262,7 +272,7 @@ class Experience:
         self._masked |= allowed is not None
         if self._masked or self._allowed.shape[0]:
             self._allowed.append(np.ones((count, *self._allowed.shape), np.bool_) if allowed is None else allowed)
-        return np.arange(first, first + count)
+        return self._numbers(first, count)
 
     def _keep_open(self, asking: Sequence["Asking"]) -> list["Asking"]:
         """Moves open transitions, and what is still to be acted on, to the beginning; forgets the rest."""

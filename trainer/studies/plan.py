@@ -116,6 +116,7 @@ class Study:
         figures: Learning curves to draw.
         claims: Ids of the claims that it decides.
         doses: Dose-response curves to draw.
+        gamma: The discount factor that runs have to begin with, because others stand beside it; None is any.
     """
 
     name: str
@@ -124,6 +125,7 @@ class Study:
     figures: tuple[CurveFigure, ...] = ()
     claims: tuple[str, ...] = ()
     doses: tuple[DoseFigure, ...] = ()
+    gamma: float | None = None
 
     def elsewhere(self, world: World) -> "Study":
         """The same on an environment of others, of which the paper claims nothing."""
@@ -225,6 +227,7 @@ DOSE_RESPONSE = Study(
         DoseFigure("dose-c", "Curiosity ratio", "c", {"with penalty": tuple((arm.c, arm) for arm in _BY_C)}),
         DoseFigure("dose-gamma", "Discount factor and penalty", "gamma", _BY_GAMMA),
     ),
+    gamma=PPOConfig().gamma,
 )
 
 STUDIES = (CURIOSITY_RATIO, PENALTY, CASE_STUDIES, ALGORITHMS, DOSE_RESPONSE)
