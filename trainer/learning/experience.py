@@ -12,16 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Agents, Behavior
-from trainer.learning.transitions import (
-    Decided,
-    EndedEpisode,
-    Indices,
-    Observed,
-    RowNumbers,
-    Rows,
-    Singles,
-    Transitions,
-)
+from trainer.learning.transitions import Decided, EndedEpisode, Indices, Observed, Rows, Singles, Transitions
 
 Agent = tuple[int, str, int]  # player, full name of the behavior, id
 _NONE = -1
@@ -57,7 +48,6 @@ class Experience:
             "episodes": Rows((), np.intp),
             "terminated": Rows((), np.bool_),
         }
-        self._numbers = RowNumbers()
         self.closed = 0
         self.ended: list[EndedEpisode] = []
         self.undecided = 0
@@ -155,7 +145,7 @@ class Experience:
             decided: What they do.
         """
         count, columns = len(asking.slots), self._columns
-        begun = self._numbers(len(self), count)
+        begun = np.arange(len(self), len(self) + count)
         columns["continuous"].append(decided.continuous)
         columns["discrete"].append(decided.discrete)
         columns["log_probs"].append(decided.log_probs)
@@ -272,7 +262,7 @@ class Experience:
         self._masked |= allowed is not None
         if self._masked or self._allowed.shape[0]:
             self._allowed.append(np.ones((count, *self._allowed.shape), np.bool_) if allowed is None else allowed)
-        return self._numbers(first, count)
+        return np.arange(first, first + count)
 
     def _keep_open(self, asking: Sequence["Asking"]) -> list["Asking"]:
         """Moves open transitions, and what is still to be acted on, to the beginning; forgets the rest."""

@@ -107,7 +107,7 @@ class LeanActorCritic:
         continuous: Singles = outputs[:, : self._continuous] + normal * np.exp(self.log_std)
         log_probs = self._normal_log_probs(normal)
         discrete = np.empty((count, len(self._branches)), np.int64)
-        rows = np.arange(count) if self._branches else None
+        rows = np.arange(count)
         for branch, logs in enumerate(self._logs(outputs, allowed)):
             # The largest of logits plus Gumbel noise is a sample of the categorical distribution.
             choice = (logs - np.log(noise[1][branch]) if noise else logs).argmax(axis=1)

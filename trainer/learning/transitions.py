@@ -173,20 +173,3 @@ class Rows:
         """Leaves these rows, in this order."""
         self.values[: len(rows)] = self.values[rows]
         self._count = len(rows)
-
-
-class RowNumbers:
-    """Numbers of rows in a row, as ``np.arange`` has them.
-
-    That function lets go of the interpreter's lock, and gets it back when gRPC's threads have had their turn; several
-    times for every message that is a tenth of its time.
-    """
-
-    def __init__(self) -> None:
-        self._numbers = np.arange(_FIRST_CAPACITY, dtype=np.intp)
-
-    def __call__(self, first: int, count: int) -> Indices:
-        """From ``first`` on, so many; a view, not to be written to."""
-        if first + count > len(self._numbers):
-            self._numbers = np.arange(2 * (first + count), dtype=np.intp)
-        return self._numbers[first : first + count]
