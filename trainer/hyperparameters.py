@@ -120,7 +120,7 @@ class CuriosityConfig(Settings):
         feature_error: How the squared error of a feature counts in eq. 6: ``plain``, or ``over_variance``, over the
             feature's running variance, so that r_i keeps its size over a run and from seed to seed. ICM's alone.
         intrinsic: ``icm``, the module of Fig. 2, or ``rnd``, random network distillation (ref. [14]).
-        rnd_scale: ``scale`` for ``rnd``; with it, r_i is at first about as large as with ``icm``.
+        rnd_scale: ``scale`` for ``rnd``; with it, r_i is at first about as large as with ``icm`` and ``plain`` errors.
         next_state: What follows an episode's last state: ``terminal``, its own last observation, or ``reset``, the
             next episode's first, as a Gym loop that looks only at the returned observation has it.
     """

@@ -33,7 +33,8 @@ class Preset:
 
 PRESETS: dict[PresetName, Preset] = {
     "fast": Preset(num_areas=128, through_gym=False, ppo=PPOConfig(), curiosity=CuriosityConfig()),
-    # More than twice the r_i, of a quicker encoder: what the studies' runs were made with (docs/calibration.md).
+    # More than twice the r_i, of a quicker encoder: what the studies of algorithms and of doses were made with
+    # (docs/studies.md).
     "case-studies": Preset(
         num_areas=128,
         through_gym=False,
