@@ -4,9 +4,11 @@ import collections
 import contextlib
 import io
 import itertools
+import json
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -70,7 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Each browser is started once a module, as every test says by name which it has."""
+    """Every test says by name which browser it has."""
     if "browser" in metafunc.fixturenames:
         each = any(metafunc.definition.iter_markers("in_each_browser"))
         firefox = [pytest.param("firefox", marks=pytest.mark.slow)] if each else []  # it says all of it once more
@@ -209,32 +211,60 @@ def page_server(tmp_path: Path) -> Iterator[Any]:
     thread.join()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def downloads(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where Firefox puts what it downloads."""
     return tmp_path_factory.mktemp("downloads")
 
 
-@pytest.fixture(scope="module")  # its event loop must not be there for other modules
-def browser(request: pytest.FixtureRequest, downloads: Path) -> Iterator[Any]:
-    """Headless Chromium; or Firefox, where a test is marked ``in_each_browser``; with WebGL in software."""
+@pytest.fixture(scope="session")
+def served_chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of headless Chromium, with WebGL in software."""
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
+    options = {"executablePath": CHROMIUM, "args": CHROMIUM_FLAGS}
+    with served_browser("chromium", options, tmp_path_factory.mktemp("chromium")) as address:
+        yield address
+
+
+@pytest.fixture(scope="session")
+def served_firefox(tmp_path_factory: pytest.TempPathFactory, downloads: Path) -> Iterator[str]:
+    """The address of the system's own headless Firefox, over WebDriver BiDi, with WebGL in software."""
+    if not (FIREFOX and shutil.which("Xvfb")):
+        pytest.skip("Firefox or Xvfb is not installed (Debian: apt-get install firefox-esr xvfb)")
+    with x_server() as display:
+        options = {
+            "channel": "moz-firefox",
+            "executablePath": FIREFOX,
+            "downloadsPath": str(downloads),
+            "env": {**os.environ, "DISPLAY": display},
+        }
+        with served_browser("firefox", options, tmp_path_factory.mktemp("firefox")) as address:
+            yield address
+
+
+@contextlib.contextmanager
+def served_browser(kind: str, options: dict[str, Any], folder: Path) -> Iterator[str]:
+    """Starts a browser of its own process, since it takes seconds to, and gives its address to connect to."""
+    config = folder / "launch.json"
+    config.write_text(json.dumps(options))
+    command = [sys.executable, "-m", "playwright", "launch-server", "--browser", kind, "--config", config]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert process.stdout
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            os.killpg(process.pid, signal.SIGTERM)
+
+
+@pytest.fixture(scope="module")  # the event loop of what connects must not be there for other modules
+def browser(request: pytest.FixtureRequest) -> Iterator[Any]:
+    """Chromium; or Firefox, where a test is marked ``in_each_browser``."""
     from playwright.sync_api import sync_playwright
 
-    if request.param == "chromium" and CHROMIUM is None:
-        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
-    if request.param == "firefox" and not (FIREFOX and shutil.which("Xvfb")):
-        pytest.skip("Firefox or Xvfb is not installed (Debian: apt-get install firefox-esr xvfb)")
-    with contextlib.ExitStack() as stack:
-        if request.param == "firefox":
-            display = stack.enter_context(x_server())
-        playwright = stack.enter_context(sync_playwright())
-        if request.param == "chromium":
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
-        else:  # the system's own, over WebDriver BiDi
-            environment = {**os.environ, "DISPLAY": display}
-            browser = playwright.firefox.launch(
-                channel="moz-firefox", executable_path=FIREFOX, env=environment, downloads_path=downloads
-            )
+    address = request.getfixturevalue(f"served_{request.param}")
+    with sync_playwright() as playwright:
+        browser = getattr(playwright, request.param).connect(address)
         yield browser
         browser.close()
 

@@ -82,7 +82,9 @@ def downloaded(opened: Any, downloads: Path, do: Callable[[], None], name: str) 
     with opened.expect_download() as download:
         do()
     assert download.value.suggested_filename == name
-    return Path(download.value.path())
+    saved = downloads / "saved" / name  # not where Firefox's is waited for
+    download.value.save_as(saved)
+    return saved
 
 
 def focused(opened: Any, chart: str = SUCCESS) -> None:
