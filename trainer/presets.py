@@ -47,7 +47,7 @@ PRESETS: dict[PresetName, Preset] = {
         num_areas=128,
         through_gym=False,
         ppo=PPOConfig(gamma=0.91),
-        curiosity=CuriosityConfig(scale=0.165, feature_error="over_variance"),
+        curiosity=CuriosityConfig(scale=0.17, feature_error="over_variance"),
         corridor={"goal_x": 8.0, "half_width": 6.5, "opponent_target_z": 1.0},
     ),
     # One area, 128 steps and 4 minibatches per update, as the Stable Baselines release that the paper used; a sixteenth
