@@ -245,16 +245,18 @@ def served_firefox(tmp_path_factory: pytest.TempPathFactory, downloads: Path) ->
 
 @contextlib.contextmanager
 def served_browser(kind: str, options: dict[str, Any], folder: Path) -> Iterator[str]:
-    """Starts a browser of its own process, since it takes seconds to, and gives its address to connect to."""
+    """Starts a browser, which takes seconds, for all modules of this process; gives the address to connect to."""
     config = folder / "launch.json"
     config.write_text(json.dumps(options))
     command = [sys.executable, "-m", "playwright", "launch-server", "--browser", kind, "--config", config]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stdout
         try:
-            yield process.stdout.readline().strip()
+            address = process.stdout.readline().strip()
+            assert address, f"{kind} did not start; what it said is above"
+            yield address
         finally:
-            os.killpg(process.pid, signal.SIGTERM)
+            os.killpg(process.pid, signal.SIGTERM)  # the driver, too, which closes the browser
 
 
 @pytest.fixture(scope="module")  # the event loop of what connects must not be there for other modules
