@@ -27,7 +27,7 @@ def built(continuous: int = 0, branches: tuple[int, ...] = (), **options) -> Act
     torch.manual_seed(3)
     network = ActorCritic(Behavior("any", SENSORS, continuous, branches), hidden_units=16, **options)
     with torch.no_grad():
-        network.action_net.weight.mul_(300.0)
+        network.action_net.weight.mul_(15.0)
         network.log_std.uniform_(-1.0, 0.5)
     return network
 
@@ -180,16 +180,16 @@ def test_the_critic_has_a_value_for_each_reward_signal(shared):
     assert len(list(network.mlp_extractor.value_net.parameters())) == (0 if shared else 4)
 
 
-def test_layers_begin_as_stable_baselines3s_do():
-    network = ActorCritic(Behavior("any", SENSORS, 2), hidden_units=8, log_std_init=-0.5)
-    first = network.mlp_extractor.policy_net[0].weight
-    torch.testing.assert_close(first.T @ first, 2.0 * torch.eye(5), atol=1e-5, rtol=0.0)
-    torch.testing.assert_close(
-        network.action_net.weight @ network.action_net.weight.T, 1e-4 * torch.eye(2), atol=1e-8, rtol=0.0
-    )
-    assert network.value_net.weight.norm().item() == pytest.approx(1.0)
+def test_layers_begin_as_ml_agents_do():
+    torch.manual_seed(0)
+    network = ActorCritic(Behavior("any", SENSORS, 2), hidden_units=400, log_std_init=-0.5)
+    first, second = network.mlp_extractor.policy_net[0], network.mlp_extractor.policy_net[2]
+    for layer, gain in ((first, 1.0), (second, 1.0), (network.action_net, 0.2)):
+        assert layer.weight.std().item() == pytest.approx(gain / layer.in_features**0.5, rel=0.1)
+    widest = (6.0 / (400 + 1)) ** 0.5
+    assert 0.9 * widest < network.value_net.weight.abs().max().item() <= widest
+    assert not any(layer.bias.any() for layer in (first, second, network.action_net, network.value_net))
     assert (network.log_std == -0.5).all()
-    assert not network.action_net.bias.any()
 
 
 def test_everything_at_once_learns_to_choose_by_what_it_sees():

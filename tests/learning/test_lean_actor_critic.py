@@ -30,7 +30,7 @@ def built(kind: str, **options) -> ActorCritic:
     torch.manual_seed(3)
     policy = ActorCritic(Behavior("any", SENSORS, *ACTIONS[kind]), hidden_units=16, **options)
     with torch.no_grad():
-        policy.action_net.weight.mul_(300.0)
+        policy.action_net.weight.mul_(15.0)
         policy.log_std.uniform_(-1.0, 0.5)
     return policy
 
@@ -147,6 +147,20 @@ class TestKernels:
         assert found == pytest.approx(np.tanh(values.astype(np.float64)), abs=5e-7)
         assert (np.abs(found) <= 1.0).all()
 
+    def test_swish_and_its_derivative_are_those_to_rounding(self):
+        values = np.linspace(-40.0, 40.0, 200_001, dtype=np.float32)[None]
+        found, bend = values.copy(), np.empty_like(values)
+        kernels.add_bias_swish(found, np.zeros(values.shape[1], np.float32), bend)
+        x = torch.from_numpy(values.astype(np.float64)).requires_grad_()
+        expected = torch.nn.functional.silu(x)
+        expected.sum().backward()
+        assert found == pytest.approx(expected.detach().numpy(), abs=5e-6, rel=1e-6)
+        assert bend == pytest.approx(x.grad.numpy(), abs=5e-6)
+        slope, total = np.full_like(values, 2.0), np.empty(values.shape[1], np.float32)
+        kernels.to_before_swish(slope, bend, total)
+        assert slope == pytest.approx(2.0 * bend)
+        assert total == pytest.approx(slope[0])
+
     @pytest.mark.parametrize("bad", [np.nan, np.inf])
     def test_bad_numbers_stay_what_they_are(self, bad):
         values = np.full((3, 16), bad, np.float32)
@@ -155,3 +169,6 @@ class TestKernels:
         slope = np.full((3, 16), bad, np.float32)
         kernels.to_before_tanh(slope, np.zeros((3, 16), np.float32), np.empty(16, np.float32))
         assert not np.isfinite(slope).any()
+        values = np.full((3, 16), bad, np.float32)
+        kernels.add_bias_swish(values, np.zeros(16, np.float32), slope)
+        assert not np.isfinite(values).any()

@@ -116,10 +116,10 @@ def test_corridor_has_nothing_that_unpickles():
 
 
 def test_a_checkpoint_of_a_later_version_says_so(monkeypatch):
-    monkeypatch.setattr(files, "FORMAT", 3)
+    monkeypatch.setattr(files, "FORMAT", 4)
     data = to_bytes(example())
     monkeypatch.undo()
-    with pytest.raises(TrainerError, match="format 3 was made by a later version .* this one reads format 2"):
+    with pytest.raises(TrainerError, match="format 4 was made by a later version .* this one reads format 3"):
         from_bytes(data)
 
 

@@ -38,10 +38,10 @@ class Acted(NamedTuple):
 
 
 class ActorCritic(nn.Module):
-    """Actor and critic, each with its own tanh layers, behind one encoder of observations.
+    """Actor and critic, each with its own swish layers, behind one encoder of observations.
 
     Continuous actions are normally distributed with deviations that don't depend on observations; a discrete branch is
-    categorical; all are independent of each other. Layers begin as Stable-Baselines3's do.
+    categorical; all are independent of each other. Layers begin as ML-Agents' do, the encoder's as Stable-Baselines3's.
 
     In every method, observations come in the order of the behavior's sensors, each (n, *shape) float32, pictures from 0
     to 1; ``allowed`` is (n, sum of the branches) bool, True for what may be chosen, and None if everything may. What
@@ -84,16 +84,18 @@ class ActorCritic(nn.Module):
         )
         layers = [hidden_units] * num_layers
         architecture = {"pi": layers, "vf": [] if shared_critic else layers}
-        self.mlp_extractor = MlpExtractor(self.encoder.features_dim, architecture, nn.Tanh, device="cpu")
+        self.mlp_extractor = MlpExtractor(self.encoder.features_dim, architecture, nn.SiLU, device="cpu")
         latent = self.mlp_extractor.latent_dim_pi
         self._continuous, self._branches = behavior.continuous_actions, behavior.discrete_branches
         self._shared = shared_critic
         self.action_net = nn.Linear(latent, self._continuous + sum(self._branches))
         self.value_net = nn.Linear(latent, value_heads)
         self.log_std = nn.Parameter(torch.full((self._continuous,), log_std_init))
-        gains = {self.encoder: math.sqrt(2.0), self.mlp_extractor: math.sqrt(2.0)}
-        for module, gain in {**gains, self.action_net: 0.01, self.value_net: 1.0}.items():
-            module.apply(partial(ActorCriticPolicy.init_weights, gain=gain))
+        self.encoder.apply(partial(ActorCriticPolicy.init_weights, gain=math.sqrt(2.0)))
+        self.mlp_extractor.apply(partial(_initialise, gain=1.0))
+        _initialise(self.action_net, gain=0.2)
+        nn.init.xavier_uniform_(self.value_net.weight)
+        nn.init.zeros_(self.value_net.bias)
 
     @torch.no_grad()
     def act(self, observations: Sequence[Tensor], allowed: Tensor | None, deterministic: bool = False) -> Acted:
@@ -164,6 +166,14 @@ class ActorCritic(nn.Module):
         """Log probabilities, (n,), of actions that lie (n, continuous actions) standard deviations from the means."""
         constant = self.log_std.sum() + self._continuous * HALF_LOG_TAU
         return deviations.square().sum(dim=1) * -0.5 - constant
+
+
+def _initialise(layer: nn.Module, gain: float) -> None:
+    """Begins a dense layer with He's weights times a gain, and without biases."""
+    if isinstance(layer, nn.Linear) and layer.out_features:
+        nn.init.kaiming_normal_(layer.weight, nonlinearity="linear")
+        layer.weight.data.mul_(gain)
+        nn.init.zeros_(layer.bias)
 
 
 def _exponential(like: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ except Exception as error:  # whatever a broken installation raises
     _reason = (str(error).splitlines() or [type(error).__name__])[0]
     PROBLEM = f"Numba can't be used ({_reason}), so training is slower; pip install --force-reinstall numba mends it."
 
-_ONE = np.float32(1.0)
+_ONE, _HALF = np.float32(1.0), np.float32(0.5)
 # tanh(x) is x P(x^2) / Q(x^2), to 4e-7, up to 8, and 1 from there on: a fit by least squares over that range.
 _END = np.float32(8.0)
 _P0, _P1, _P2, _P3, _P4 = (
@@ -71,6 +71,35 @@ if numba is not None:
                 total[column] += value
 
     @_compiled
+    def add_bias_swish(values: Singles, bias: Singles, bend: Singles) -> None:
+        """Makes values, (n, units), the swish x / (1 + exp(-x)) of their sum with a bias, and bend its derivative."""
+        for row in range(values.shape[0]):
+            for column in range(values.shape[1]):
+                whole = values[row, column] + bias[column]
+                x = _HALF * whole
+                if x > _END:
+                    x = _END
+                elif x < -_END:
+                    x = -_END
+                    whole = x + x
+                z = x * x
+                above = (((_P4 * z + _P3) * z + _P2) * z + _P1) * z + _P0
+                below = (((_Q4 * z + _Q3) * z + _Q2) * z + _Q1) * z + _ONE
+                gate = _HALF + _HALF * (x * above / below)  # the logistic function of the sum
+                values[row, column] = whole * gate
+                bend[row, column] = gate * (_ONE + (x + x) * (_ONE - gate))
+
+    @_compiled
+    def to_before_swish(slope: Singles, bend: Singles, total: Singles) -> None:
+        """Makes d loss / d swish, (n, units), that of what swish was taken of, and puts its sum over n in a total."""
+        total[:] = np.float32(0.0)
+        for row in range(slope.shape[0]):
+            for column in range(slope.shape[1]):
+                value = slope[row, column] * bend[row, column]
+                slope[row, column] = value
+                total[column] += value
+
+    @_compiled
     def adam_step(
         parameters: Singles,
         gradient: Singles,
@@ -102,6 +131,18 @@ else:
     def to_before_tanh(slope: Singles, tanh: Singles, total: Singles) -> None:
         """Makes d loss / d tanh, (n, units), that of what tanh was taken of, and puts its sum over n in a total."""
         slope *= _ONE - np.square(tanh)
+        slope.sum(axis=0, out=total)
+
+    def add_bias_swish(values: Singles, bias: Singles, bend: Singles) -> None:
+        """Makes values, (n, units), the swish x / (1 + exp(-x)) of their sum with a bias, and bend its derivative."""
+        values += bias
+        gate = _HALF + _HALF * np.tanh(_HALF * values)  # the logistic function of the sum
+        bend[...] = gate * (_ONE + values * (_ONE - gate))
+        values *= gate
+
+    def to_before_swish(slope: Singles, bend: Singles, total: Singles) -> None:
+        """Makes d loss / d swish, (n, units), that of what swish was taken of, and puts its sum over n in a total."""
+        slope *= bend
         slope.sum(axis=0, out=total)
 
     def adam_step(

@@ -1,4 +1,4 @@
-"""Actor and critic of dense tanh layers, without autograd: the gradient is written out, and Adam works on one vector.
+"""Actor and critic of dense layers, without autograd: the gradient is written out, and Adam works on one vector.
 
 With networks this small, most of torch's time is bookkeeping for each minibatch. Parameters and Adam's moments stay
 where torch has them, as views of flat vectors: whoever reads or loads the policy or its optimiser sees these numbers.
@@ -15,10 +15,11 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
 from trainer.learning.actor_critic import FORBIDDEN, HALF_LOG_TAU, SMALLEST, ActorCritic
-from trainer.learning.networks import Network
+from trainer.learning.networks import SWISH, TANH, Network, Passed
 from trainer.learning.torch_adam import TorchAdam
 from trainer.learning.transitions import Singles
 
+_ACTIVATIONS = {nn.Tanh: TANH, nn.SiLU: SWISH}
 Choices = NDArray[np.int64]
 Masks = NDArray[np.bool_]
 
@@ -27,7 +28,7 @@ class Judged(NamedTuple):
     """What a policy makes of n actions.
 
     Attributes:
-        given: What each of the actor's layers was given.
+        passed: What they left in the actor.
         deviations: How many standard deviations continuous actions are from the means, (n, continuous actions).
         chances: Of each branch, the probability of every choice, (n, choices).
         logs: Their logarithms.
@@ -35,7 +36,7 @@ class Judged(NamedTuple):
         entropies: Of the distributions, (n,).
     """
 
-    given: list[Singles]
+    passed: Passed
     deviations: Singles
     chances: list[Singles]
     logs: list[Singles]
@@ -62,7 +63,12 @@ class LeanActorCritic:
         assert isinstance(policy.log_std, nn.Parameter)
         parameters = [each for layer in (*actor, *critic) for each in layer.parameters()]
         self.adam = TorchAdam([*parameters, policy.log_std] if len(policy.log_std) else parameters)
-        self.actor, self.critic = _network(actor), _network(critic)
+        hidden = policy.mlp_extractor.policy_net
+        activation = _ACTIVATIONS[type(hidden[1])] if len(hidden) else TANH
+        self.actor, self.critic = (
+            Network(layers[0].in_features, *(layer.out_features for layer in layers), activation=activation)
+            for layers in (actor, critic)
+        )
         ends = self.actor.size, self.actor.size + self.critic.size
         flat, gradient = self.adam.parameters, self.adam.gradient
         self.actor.attach(flat[: ends[0]], gradient[: ends[0]])
@@ -74,13 +80,12 @@ class LeanActorCritic:
 
     @staticmethod
     def fits(policy: ActorCriticPolicy | ActorCritic) -> bool:
-        """Whether it has nothing but an actor and a critic of dense layers, with tanh between them, on the CPU."""
+        """Whether it is an actor and a critic of dense layers and nothing else, with one activation, on the CPU."""
         if not isinstance(policy.log_std, nn.Parameter) or policy.log_std.device.type != "cpu":
             return False
         trunks = (policy.mlp_extractor.policy_net, policy.mlp_extractor.value_net)
-        if not all(isinstance(layer, nn.Linear | nn.Tanh) for trunk in trunks for layer in trunk):
-            return False
-        if any([type(each) for each in trunk] != [nn.Linear, nn.Tanh] * (len(trunk) // 2) for trunk in trunks):
+        kinds = [type(each) for trunk in trunks for each in trunk]
+        if not any(kinds == [nn.Linear, activation] * (len(kinds) // 2) for activation in _ACTIVATIONS):
             return False
         actor, critic = _layers(policy)
         known = sum(each.numel() for layer in (*actor, *critic) for each in layer.parameters())
@@ -121,7 +126,7 @@ class LeanActorCritic:
 
     def judge(self, observations: Singles, allowed: Masks | None, continuous: Singles, discrete: Choices) -> Judged:
         """What the policy now makes of actions that were taken, as ``act`` gave them."""
-        given, outputs = self.actor(observations)
+        passed, outputs = self.actor(observations)
         deviations = (continuous - outputs[:, : self._continuous]) * np.exp(-self.log_std)
         log_probs = self._normal_log_probs(deviations)
         entropies = np.full_like(log_probs, self.log_std.sum() + self._continuous * (0.5 + HALF_LOG_TAU))
@@ -130,7 +135,7 @@ class LeanActorCritic:
         for branch, each in enumerate(logs):
             log_probs += each[rows, discrete[:, branch]]
             entropies -= np.einsum("ij,ij->i", chances[branch], each)
-        return Judged(given, deviations, chances, logs, log_probs, entropies)
+        return Judged(passed, deviations, chances, logs, log_probs, entropies)
 
     def differentiate_actor(self, judged: Judged, discrete: Choices, slope: Singles, entropy_slope: float) -> None:
         """Fills in the gradient of the actor and of the deviations.
@@ -150,7 +155,7 @@ class LeanActorCritic:
             back = chances * (each * (own_entropy[:, None] - logs) - slope[:, None])
             back[rows, discrete[:, branch]] += slope
             columns.append(back)
-        self.actor.differentiate(judged.given, columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1))
+        self.actor.differentiate(judged.passed, columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1))
 
     def _logs(self, outputs: Singles, allowed: Masks | None) -> list[Singles]:
         """Of each branch, the log probabilities of its choices, (n, choices)."""
@@ -218,10 +223,6 @@ def _layers(policy: ActorCriticPolicy | ActorCritic) -> tuple[list[nn.Linear], l
         for trunk, head in zip(trunks, heads, strict=True)
     )
     return actor, critic
-
-
-def _network(layers: list[nn.Linear]) -> Network:
-    return Network(layers[0].in_features, *(layer.out_features for layer in layers))
 
 
 def _nothing(count: int) -> Singles:

@@ -5,12 +5,20 @@ many layers there are; each layer's arrays are views of them.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from trainer.learning.kernels import Singles, adam_step, add_bias_tanh, to_before_tanh
+from trainer.learning.kernels import (
+    Singles,
+    adam_step,
+    add_bias_swish,
+    add_bias_tanh,
+    to_before_swish,
+    to_before_tanh,
+)
 
 
 class Adam:
@@ -68,18 +76,59 @@ class Adam:
         self.steps = int(state["steps"][0])
 
 
+class Activation(NamedTuple):
+    """What a hidden layer does with its sums.
+
+    Attributes:
+        forward: Makes sums without their bias, (n, units), given that bias, what the layer gives; returns what
+            ``backward`` needs.
+        backward: Makes d loss / d what the layer gave, given that, d loss / d sum, and fills in its total over n.
+    """
+
+    forward: Callable[[Singles, Singles], Singles]
+    backward: Callable[[Singles, Singles, Singles], None]
+
+
+def _tanh(values: Singles, bias: Singles) -> Singles:
+    add_bias_tanh(values, bias)
+    return values
+
+
+def _swish(values: Singles, bias: Singles) -> Singles:
+    bend = np.empty_like(values)
+    add_bias_swish(values, bias, bend)
+    return bend
+
+
+TANH, SWISH = Activation(_tanh, to_before_tanh), Activation(_swish, to_before_swish)
+
+
+class Passed(NamedTuple):
+    """What is left of a batch that went through a network.
+
+    Attributes:
+        given: What each layer was given, (n, units before), the inputs first.
+        kept: What each hidden layer's activation needs on the way back, (n, units).
+    """
+
+    given: list[Singles]
+    kept: list[Singles]
+
+
 class Network:
-    """Hidden tanh layers and a linear one.
+    """Hidden layers and a linear one.
 
     Args:
         sizes: Of an input, of each hidden layer, and of an output.
+        activation: Of the hidden layers.
 
     Attributes:
         weights: Of each layer, (units, units before).
         biases: Of each layer, (units,).
     """
 
-    def __init__(self, *sizes: int) -> None:
+    def __init__(self, *sizes: int, activation: Activation = TANH) -> None:
+        self._activation = activation
         self.shapes: list[tuple[int, ...]] = []
         for before, units in pairwise(sizes):
             self.shapes += [(units, before), (units,)]
@@ -100,33 +149,34 @@ class Network:
             weight[...] = generator.uniform(-bound, bound, weight.shape)
             bias[...] = generator.uniform(-bound, bound, bias.shape)
 
-    def __call__(self, inputs: Singles) -> tuple[list[Singles], Singles]:
-        """What each layer was given, (n, units before), the inputs first, and the output, (n, outputs)."""
-        given, last = [inputs], len(self.weights) - 1
+    def __call__(self, inputs: Singles) -> tuple[Passed, Singles]:
+        """What ``differentiate`` needs, and the output, (n, outputs)."""
+        passed, last = Passed([inputs], []), len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            values: Singles = given[-1] @ weight.T
+            values: Singles = passed.given[-1] @ weight.T
             if layer == last:
                 values += bias
-                return given, values
-            add_bias_tanh(values, bias)
-            given.append(values)
+                return passed, values
+            passed.kept.append(self._activation.forward(values, bias))
+            passed.given.append(values)
         raise AssertionError("A network has a layer.")
 
-    def differentiate(self, given: Sequence[Singles], slope: Singles) -> Singles:
+    def differentiate(self, passed: Passed, slope: Singles) -> Singles:
         """Fills in the gradient.
 
         Args:
-            given: What each layer was given.
+            passed: What the batch left.
             slope: d loss / d output, (n, outputs).
 
         Returns:
-            d loss / d what the first layer makes, (n, its units), before its tanh.
+            d loss / d the first layer's sums, (n, its units).
         """
+        given, kept = passed
         slope.sum(axis=0, out=self._bias_gradients[-1])
         for layer in range(len(given) - 1, 0, -1):
             np.matmul(slope.T, given[layer], out=self._weight_gradients[layer])
             slope = slope @ self.weights[layer]
-            to_before_tanh(slope, given[layer], self._bias_gradients[layer - 1])
+            self._activation.backward(slope, kept[layer - 1], self._bias_gradients[layer - 1])
         np.matmul(slope.T, given[0], out=self._weight_gradients[0])
         return slope
 

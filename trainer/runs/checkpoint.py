@@ -25,7 +25,8 @@ from trainer.files import whole_file
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-FORMAT = 2
+FORMAT = 3
+SWISH_SINCE = 3  # the format in which a behavior's own policy has swish layers; before, it had tanh
 KEPT = 5
 SUFFIX = ".safetensors"
 NO_DIGEST = "0" * 64
