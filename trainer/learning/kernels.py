@@ -75,18 +75,17 @@ if numba is not None:
         """Makes values, (n, units), the swish x / (1 + exp(-x)) of their sum with a bias, and bend its derivative."""
         for row in range(values.shape[0]):
             for column in range(values.shape[1]):
-                whole = values[row, column] + bias[column]
-                x = _HALF * whole
+                half = _HALF * (values[row, column] + bias[column])
+                if half < -_END:
+                    half = -_END
+                x = half
                 if x > _END:
                     x = _END
-                elif x < -_END:
-                    x = -_END
-                    whole = x + x
                 z = x * x
                 above = (((_P4 * z + _P3) * z + _P2) * z + _P1) * z + _P0
                 below = (((_Q4 * z + _Q3) * z + _Q2) * z + _Q1) * z + _ONE
                 gate = _HALF + _HALF * (x * above / below)  # the logistic function of the sum
-                values[row, column] = whole * gate
+                values[row, column] = (half + half) * gate
                 bend[row, column] = gate * (_ONE + (x + x) * (_ONE - gate))
 
     @_compiled
