@@ -122,8 +122,8 @@ default_settings:
   network_settings: {hidden_units: 64}
 behaviors:
   Aim: {max_steps: 60000, hyperparameters: {learning_rate: 0.003}}
-  Herd: {max_steps: 60000}
-  Errand: {max_steps: 30000}
+  Herd: {max_steps: 40000, hyperparameters: {learning_rate: 0.001}}
+  Errand: {max_steps: 20000}
 """
 
 
