@@ -1,6 +1,8 @@
 """The policy without autograd acts, judges and learns as the one in torch, to rounding, for every kind of action."""
 
 import copy
+import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -135,6 +137,8 @@ def test_what_was_saved_of_one_goes_on_in_the_other():
 def test_what_has_more_than_dense_layers_stays_in_torch():
     assert LeanActorCritic.fits(built("hybrid"))
     assert not LeanActorCritic.fits(built("hybrid", shared_critic=True))
+    as_wide_as_seen = Behavior("any", (Sensor.of("vector", (16,)),), 2)
+    assert not LeanActorCritic.fits(ActorCritic(as_wide_as_seen, hidden_units=16, shared_critic=True))
     picture = Behavior("any", (Sensor.of("camera", (20, 20, 3)),), 2)
     assert not LeanActorCritic.fits(ActorCritic(picture, hidden_units=16))
 
@@ -148,18 +152,36 @@ class TestKernels:
         assert (np.abs(found) <= 1.0).all()
 
     def test_swish_and_its_derivative_are_those_to_rounding(self):
-        values = np.linspace(-40.0, 40.0, 200_001, dtype=np.float32)[None]
-        found, bend = values.copy(), np.empty_like(values)
-        kernels.add_bias_swish(found, np.zeros(values.shape[1], np.float32), bend)
+        values = np.linspace(-40.0, 40.0, 200_001, dtype=np.float32).reshape(3, -1)
+        bias = np.linspace(-1.0, 1.0, values.shape[1], dtype=np.float32)
+        found, bend = values - bias, np.empty_like(values)
+        kernels.add_bias_swish(found, bias, bend)
         x = torch.from_numpy(values.astype(np.float64)).requires_grad_()
         expected = torch.nn.functional.silu(x)
         expected.sum().backward()
-        assert found == pytest.approx(expected.detach().numpy(), abs=5e-6, rel=1e-6)
+        assert found == pytest.approx(expected.detach().numpy(), abs=1e-5, rel=1e-6)
         assert bend == pytest.approx(x.grad.numpy(), abs=5e-6)
         slope, total = np.full_like(values, 2.0), np.empty(values.shape[1], np.float32)
         kernels.to_before_swish(slope, bend, total)
         assert slope == pytest.approx(2.0 * bend)
-        assert total == pytest.approx(slope[0])
+        assert total == pytest.approx(slope.sum(axis=0), abs=1e-5)
+
+    def test_swish_is_the_same_without_numba(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "numba", None)
+        spec = importlib.util.spec_from_file_location("plain_kernels", kernels.__file__)
+        plain = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(plain)
+        assert plain.PROBLEM is not None
+        rng = np.random.default_rng(0)
+        sums, bias, slope = (rng.normal(0.0, 4.0, shape).astype(np.float32) for shape in ((30, 8), 8, (30, 8)))
+        results = []
+        for module in (kernels, plain):
+            made, bend, back, total = sums.copy(), np.empty_like(sums), slope.copy(), np.empty(8, np.float32)
+            module.add_bias_swish(made, bias, bend)
+            module.to_before_swish(back, bend, total)
+            results.append((made, bend, back, total))
+        for ours, theirs in zip(*results, strict=True):
+            assert ours == pytest.approx(theirs, abs=2e-5)
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf])
     def test_bad_numbers_stay_what_they_are(self, bad):

@@ -128,7 +128,7 @@ def test_predictions_come_from_the_same_parameters():
 
 
 def test_another_form_of_policy_is_refused():
-    with pytest.raises(ValueError, match="dense tanh layers"):
+    with pytest.raises(ValueError, match="dense tanh or SiLU layers"):
         LeanPPO("MlpPolicy", corridor(1), policy_kwargs={"activation_fn": torch.nn.ReLU})
     with pytest.raises(ValueError, match="takes Box actions"):
         LeanPPO("MlpPolicy", make_vec_env("CartPole-v1", 1))

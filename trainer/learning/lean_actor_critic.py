@@ -84,8 +84,9 @@ class LeanActorCritic:
         if not isinstance(policy.log_std, nn.Parameter) or policy.log_std.device.type != "cpu":
             return False
         trunks = (policy.mlp_extractor.policy_net, policy.mlp_extractor.value_net)
-        kinds = [type(each) for trunk in trunks for each in trunk]
-        if not any(kinds == [nn.Linear, activation] * (len(kinds) // 2) for activation in _ACTIVATIONS):
+        kinds = [[type(each) for each in trunk] for trunk in trunks]  # a critic that has the actor's layers has none
+        dense = ([nn.Linear, activation] * (len(kinds[0]) // 2) for activation in _ACTIVATIONS)
+        if kinds[0] != kinds[1] or kinds[0] not in dense:
             return False
         actor, critic = _layers(policy)
         known = sum(each.numel() for layer in (*actor, *critic) for each in layer.parameters())

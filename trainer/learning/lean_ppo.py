@@ -20,7 +20,7 @@ from trainer.learning.transitions import Singles
 
 
 class LeanPPO(PPO):
-    """PPO for Box actions, and an actor and a critic of dense tanh layers.
+    """PPO for Box actions, and an actor and a critic of dense layers.
 
     Takes SB3's arguments; advantages are normalised, and state-dependent exploration and ``target_kl`` are not used.
 
@@ -32,7 +32,7 @@ class LeanPPO(PPO):
         super()._setup_model()
         space = self.action_space
         if not isinstance(space, spaces.Box) or self.policy.use_sde or not LeanActorCritic.fits(self.policy):
-            raise ValueError("LeanPPO takes Box actions, and dense tanh layers on the CPU; use PPO for others.")
+            raise ValueError("LeanPPO takes Box actions, and dense tanh or SiLU layers on the CPU; use PPO for others.")
         self._networks = LeanActorCritic(self.policy)
         self._sizes = self._networks.actor.weights[0].shape[1], space.shape[0]
 
