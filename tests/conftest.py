@@ -65,12 +65,6 @@ MORE_PINS = ("numpy>=1.23.5,<1.24", "filelock>=3.4")
 _CANDIDATES = itertools.count(10_000 + 2_000 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]), 4)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """One more than cores for ``-n auto``: tests wait for processes and browsers a third of the time."""
-    return (os.cpu_count() or 1) + 1
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with many slow tests come first: the last one that a worker begins should be short."""
     slow = collections.Counter(item.path for item in items if item.get_closest_marker("slow"))
