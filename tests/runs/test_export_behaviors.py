@@ -271,13 +271,26 @@ def test_of_several_behaviors_each_has_its_file(tmp_path):
     assert exported_form(session(files["Mine-Hare.onnx"]).get_inputs())[0] == ("obs_0", ["batch", 3], FLOAT)
 
 
-def test_a_policy_of_before_layers_were_swish_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize("command", ["export", "evaluate", "resume", "init_path"])
+def test_a_policy_of_before_layers_were_swish_is_refused(tmp_path, monkeypatch, free_port, command):
     monkeypatch.setattr("trainer.runs.checkpoint.FORMAT", 2)
-    run = saved_run(tmp_path / "run", Behavior("Any", (VECTOR,), 2))
-    done = corridor_here("export", run, "--onnx", tmp_path / "Mine.onnx")
+    run = saved_run(tmp_path / "any", Behavior("CartPole-v1", (Sensor.of("observation", (4,)),), 0, (2,)))
+    monkeypatch.undo()
+    player = ("--base-port", free_port, "--env", BIN / "corridor-server", "--env-args", "--gym", "CartPole-v1")
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(f"default_settings: {{init_path: '{run}'}}\n")
+    done = corridor_here(
+        *{
+            "export": ("export", run, "--onnx", tmp_path / "Mine.onnx"),
+            "evaluate": ("evaluate", run),
+            "resume": ("train", "--results-dir", tmp_path, "--run-id", "any", "--resume"),
+            "init_path": ("train", settings, "--results-dir", tmp_path, "--run-id", "new", *player),
+        }[command]
+    )
     assert done.returncode == 1
-    assert "policy of Any has tanh layers, as an earlier version of curious-corridor trains, but swish" in done.stderr
+    assert "has tanh layers, as an earlier version of curious-corridor trains, but swish" in done.stderr
     assert "Traceback" not in done.stderr
+    assert ("Starting the player" in done.stderr + done.stdout) == (command == "init_path")
 
 
 @pytest.mark.slow

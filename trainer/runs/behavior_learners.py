@@ -16,7 +16,7 @@ from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
 from trainer.learning.sac_learner import SACLearner
 from trainer.players.scene import Message, Scene
-from trainer.runs.checkpoint import SWISH_SINCE, Checkpoint, read_checkpoint, read_checkpoint_file
+from trainer.runs.checkpoint import Checkpoint, check_layers, read_checkpoint, read_checkpoint_file
 
 LEARNER = "learner "  # before a behavior's name, in a checkpoint
 
@@ -190,11 +190,8 @@ def _load(checkpoint: Checkpoint, name: str, learner: Learner, to_play: bool) ->
     state = checkpoint.part(f"{LEARNER}{name}")
     if not state:
         raise TrainerError(f"The checkpoint has no behavior {name!r}; give one of a run that trained it.")
-    if isinstance(learner, PPOLearner) and checkpoint.facts["format"] < SWISH_SINCE:
-        raise TrainerError(
-            f"The checkpoint's policy of {name} has tanh layers, as an earlier version of curious-corridor trains, but "
-            "swish layers were expected; train it anew, or use that version."
-        )
+    if isinstance(learner, PPOLearner):
+        check_layers(checkpoint, name)
     try:
         (learner.load_policy if to_play else learner.load_state_dict)(state)
     except (KeyError, ValueError, RuntimeError) as error:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FORMAT = 3
-SWISH_SINCE = 3  # the format in which a behavior's own policy has swish layers; before, it had tanh
+_SWISH_SINCE = 3  # the format in which a behavior's own policy has swish layers; before, it had tanh
 KEPT = 5
 SUFFIX = ".safetensors"
 NO_DIGEST = "0" * 64
@@ -102,6 +102,19 @@ def from_bytes(data: bytes | bytearray) -> Checkpoint:
         )
     checkpoint = Checkpoint(load(bytes(data)), facts)
     return _from_format_1(checkpoint) if facts["format"] == 1 else checkpoint
+
+
+def check_layers(checkpoint: Checkpoint, name: str) -> None:
+    """Refuses the PPO policy of a behavior whose weights are for other layers, though they fit.
+
+    Raises:
+        TrainerError: They are.
+    """
+    if checkpoint.facts["format"] < _SWISH_SINCE:
+        raise TrainerError(
+            f"The checkpoint's policy of {name} has tanh layers, as an earlier version of curious-corridor trains, but "
+            "swish layers were expected; train it anew, or use that version."
+        )
 
 
 def _from_format_1(old: Checkpoint) -> Checkpoint:

@@ -168,9 +168,9 @@ class RunFolder:
             name: The checkpoint's.
 
         Raises:
-            TrainerError: There is none, it is damaged, or it is another run's.
+            TrainerError: There is none, it is damaged, it is another run's, or its policies are for other layers.
         """
-        from trainer.runs.checkpoint import read_checkpoint
+        from trainer.runs.checkpoint import check_layers, read_checkpoint
 
         checkpoint = read_checkpoint(self.checkpoints, name)
         try:
@@ -186,6 +186,9 @@ class RunFolder:
                 f"The checkpoint of step {checkpoint.facts['env_steps']:,} in {self.checkpoints} is another run's: it "
                 f"has {listed}; delete it, or train the run again with --force."
             )
+        for behavior in checkpoint.part("behaviors"):
+            if config.settings_for(behavior).trainer_type != "sac":
+                check_layers(checkpoint, behavior)
         return checkpoint
 
     def read_behavior(self) -> dict[str, Any]:
