@@ -170,7 +170,7 @@ class ActorCritic(nn.Module):
 
 def _initialise(layer: nn.Module, gain: float) -> None:
     """Begins a dense layer with He's weights times a gain, and without biases."""
-    if isinstance(layer, nn.Linear) and layer.out_features:
+    if isinstance(layer, nn.Linear) and layer.out_features:  # torch warns of a layer without any
         nn.init.kaiming_normal_(layer.weight, nonlinearity="linear")
         layer.weight.data.mul_(gain)
         nn.init.zeros_(layer.bias)

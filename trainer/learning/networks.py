@@ -80,9 +80,10 @@ class Activation(NamedTuple):
     """What a hidden layer does with its sums.
 
     Attributes:
-        forward: Makes sums without their bias, (n, units), given that bias, what the layer gives; returns what
-            ``backward`` needs.
-        backward: Makes d loss / d what the layer gave, given that, d loss / d sum, and fills in its total over n.
+        forward: Turns sums without their bias, (n, units), into what the layer gives, in place, given the bias,
+            (units,); returns what ``backward`` needs, (n, units).
+        backward: Turns d loss / d what the layer gave, (n, units), into d loss / d sum, in place, given what
+            ``forward`` returned; fills in the total over n, (units,).
     """
 
     forward: Callable[[Singles, Singles], Singles]

@@ -155,12 +155,10 @@ class BehaviorLearners:
         learner = _blank(self._config, name, behavior)
         if learner.settings.init_path is not None:
             path = Path(learner.settings.init_path)
-            _load(
-                read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path),
-                name,
-                learner,
-                True,
-            )
+            checkpoint = read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path)
+            if isinstance(learner, PPOLearner):
+                check_layers(checkpoint, name)
+            _load(checkpoint, name, learner, to_play=True)
         return learner
 
 
@@ -190,8 +188,6 @@ def _load(checkpoint: Checkpoint, name: str, learner: Learner, to_play: bool) ->
     state = checkpoint.part(f"{LEARNER}{name}")
     if not state:
         raise TrainerError(f"The checkpoint has no behavior {name!r}; give one of a run that trained it.")
-    if isinstance(learner, PPOLearner):
-        check_layers(checkpoint, name)
     try:
         (learner.load_policy if to_play else learner.load_state_dict)(state)
     except (KeyError, ValueError, RuntimeError) as error:
