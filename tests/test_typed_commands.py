@@ -11,6 +11,7 @@ from test_docs import FENCE, PAGES, ROOT
 from corridor_server.player_options import check_options, parser
 from trainer.command_line import COMMANDS, ENV_ARGS, parse
 from trainer.commands.study import STUDIES
+from trainer.commands.train import Train
 from trainer.run_options import RunOptions
 
 OURS = '"$(which corridor-server)"'
@@ -25,7 +26,10 @@ def corridor(arguments: list[str]) -> None:
         return
     at = arguments.index(ENV_ARGS) if ENV_ARGS in arguments else len(arguments)
     typed, players = arguments[:at], arguments[at + 1 :]
-    assert hasattr(parse(typed), "with_env_args") or not players
+    command = parse(typed)
+    assert hasattr(command, "with_env_args") or not players
+    if isinstance(command, Train) and command.file is None:
+        assert command.run_id, "which a file may have"
     if "$(which corridor-server)" in typed:
         corridor_server(players)
 
@@ -122,6 +126,7 @@ def test_a_command_of_the_documents_is_read_by_its_program(page, line, only_our_
     [
         "corridor trian --run-id mine",
         "corridor train --run-id mine --stepz 3",
+        "corridor train --num-envs 4",
         "corridor train --run-id mine --steps 0",
         f"corridor train --run-id mine --env {OURS} --env-args --gymm CartPole-v1",
         "corridor study penalties --seeds 3",

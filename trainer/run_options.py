@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from corridor_server.shared.given import mapping_of, read_text, shown
-from trainer.behavior_settings import BehaviorSettings, CuriositySignal, RewardSignal, RewardSignals, RNDSignal
+from trainer.behavior_settings import BehaviorSettings, CuriositySignal, RewardSignals, RNDSignal
 from trainer.config import Device, EngineConfig, Restarts
 from trainer.corridor import PENALTY, check_parameter
 from trainer.curriculum import Curricula, read_lessons
@@ -232,12 +232,18 @@ class RunOptions:
 
 
 def _curious(signals: RewardSignals, c: float, intrinsic: Intrinsic) -> RewardSignals:
-    extrinsic = signals.extrinsic or RewardSignal()
+    """Signals with another strength of the intrinsic one: the file's, unless another is asked for or it has none."""
     if c == 0:
-        return RewardSignals(extrinsic)
+        if signals.extrinsic is None:
+            raise TrainerError(
+                "--c 0 takes out the only reward that the file has; add extrinsic to its reward_signals."
+            )
+        return replace(signals, curiosity=None, rnd=None)
     if intrinsic == "rnd":
-        return RewardSignals(extrinsic, rnd=replace(signals.rnd or RNDSignal(), strength=c))
-    return RewardSignals(extrinsic, curiosity=replace(signals.curiosity or CuriositySignal(), strength=c))
+        return replace(signals, rnd=replace(signals.rnd or RNDSignal(), strength=c), curiosity=None)
+    if signals.rnd is not None and signals.curiosity is None:
+        return replace(signals, rnd=replace(signals.rnd, strength=c))
+    return replace(signals, curiosity=replace(signals.curiosity or CuriositySignal(), strength=c))
 
 
 def _sections(values: Mapping[Any, Any]) -> dict[str, Any]:

@@ -101,6 +101,26 @@ def test_steps_are_typed_or_those_of_the_longest_behavior_or_the_papers(typed):
     assert run.settings_for("Any").max_steps == 5
 
 
+@pytest.mark.parametrize(
+    ("signals", "typed_too", "found"),
+    [
+        ("{extrinsic: {}}", "--c 0.3", {"extrinsic": 1, "curiosity": 0.3}),
+        ("{extrinsic: {}}", "--c 0.3 --intrinsic rnd", {"extrinsic": 1, "rnd": 0.3}),
+        ("{extrinsic: {}, rnd: {strength: 0.1}}", "--c 0.3", {"extrinsic": 1, "rnd": 0.3}),
+        ("{curiosity: {strength: 0.1}}", "--c 0.3", {"curiosity": 0.3}),
+        ("{curiosity: {strength: 0.1}}", "--c 0.3 --intrinsic rnd", {"rnd": 0.3}),
+        ("{curiosity: {strength: 0.1}, rnd: {strength: 0.2}}", "--c 0.3", {"curiosity": 0.3, "rnd": 0.2}),
+        ("{extrinsic: {strength: 2}, curiosity: {}, rnd: {}}", "--c 0", {"extrinsic": 2}),
+        ("{extrinsic: {}, rnd: {strength: 0.1}}", "", {"extrinsic": 1, "rnd": 0.1}),
+    ],
+)
+def test_c_is_the_strength_of_the_intrinsic_reward_that_the_file_has(typed, signals, typed_too, found):
+    _, run = typed(f"default_settings: {{reward_signals: {signals}}}", "FILE", "--run-id", "r", *typed_too.split())
+    made = run.settings_for("Any").reward_signals
+    each = {name: getattr(made, name) for name in ("extrinsic", "curiosity", "rnd")}
+    assert {name: signal.strength for name, signal in each.items() if signal is not None} == found
+
+
 def test_graphics_are_for_builds_that_are_launched(typed):
     text = "engine_settings: {no_graphics: false}"
     assert typed(text, "FILE", "--run-id", "r", "--env", "Other.x86_64")[1].graphics
@@ -125,6 +145,11 @@ def test_config_is_another_name_for_the_file(typed):
         ("env_settings: {num_areas: 2}", "FILE --run-id r --preset paper", "--num-areas is 2, but preset paper trains"),
         ("env_settings: {env_args: [-x]}", "FILE --run-id r --env editor", "--env-args is for players that are launch"),
         ("environment_parameters:\n  failure_penalty: 0", "FILE --run-id r", ".*yaml, line 2: The .* set by --penalty"),
+        (
+            "default_settings: {reward_signals: {curiosity: {}}}",
+            "FILE --run-id r --env Any.x86_64 --c 0",
+            "--c 0 takes out the only reward that the file has; add extrinsic to its reward_signals.",
+        ),
         ("checkpoint_settings: {resume: true, force: true}", "FILE --run-id r", "--resume continues a run and --force"),
         ("checkpoint_settings: {resume: true}", "FILE --run-id r --algo ddpg", "--resume can't continue --algo ddpg"),
         ("checkpoint_settings: {resume: true}", "FILE --run-id r", "There is no run 'r' in results to resume"),

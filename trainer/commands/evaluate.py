@@ -16,7 +16,7 @@ class Evaluate(Options):
     episodes: Episodes = 200
     """How many episodes to play."""
     checkpoint: str | None = None
-    """Evaluate this checkpoint, such as step-500736, not the newest; its episodes replace those of trajectories.npz."""
+    """Evaluate this checkpoint, such as step-501760, not the newest; its episodes replace those of trajectories.npz."""
     env: str | None = None
     """Another environment than the run's, as in corridor train."""
     connection: ConnectionOptions = field(default_factory=ConnectionOptions)

@@ -19,7 +19,7 @@ class Replay(Options):
 
     results: ExistingRun
     checkpoint: str | None = None
-    """Play this checkpoint instead, such as step-500736."""
+    """Play this checkpoint instead, such as step-501760."""
     episodes: Episodes = 20
     """How many episodes the page shows."""
     open: OpenPage = False

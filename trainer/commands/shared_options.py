@@ -52,7 +52,9 @@ class TrainingOptions(Options):
     """fast: many copies of the training area at once; case-studies: the same with a larger r_i, as the studies have it;
     threshold: the same with a longer way, where c = 0.5 is too much; paper: one area, through UnityToGymWrapper, as the
     paper did."""
-    steps: Annotated[Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,})")] = None
+    steps: Annotated[
+        Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,}, or what the file says)")
+    ] = None
     """How many decisions to learn from, all agents' together (agent steps); over a file's max_steps."""
     eval_episodes: Count = 200
     """How many episodes the evaluation at the end plays."""

@@ -68,7 +68,9 @@ class LearningOptions(TrainingOptions):
     seed: Seed = 0
     """The same seed gives the same run."""
     c: Annotated[
-        float | None, Range(0, 1000), tyro.conf.arg(help_behavior_hint="(default: 0.3 on the corridor, none elsewhere)")
+        float | None,
+        Range(0, 1000),
+        tyro.conf.arg(help_behavior_hint="(default: the preset's 0.3, or what the file says)"),
     ] = None
     """How much curiosity counts beside the environment's reward (the paper's curiosity ratio); 0 is none: base PPO."""
     penalty: Annotated[float, Range(0, 1000)] = DEFAULT_PENALTY

@@ -29,7 +29,6 @@ class Experience:
     Attributes:
         closed: How many transitions are closed.
         ended: Episodes that ended since this was last emptied by its reader.
-        undecided: How many agents ended before they decided anything.
     """
 
     def __init__(self, behavior: Behavior, time_horizon: int) -> None:
@@ -50,7 +49,6 @@ class Experience:
         }
         self.closed = 0
         self.ended: list[EndedEpisode] = []
-        self.undecided = 0
         self._masked = False
         self._agents: dict[Agent, int] = {}
         self._free: list[int] = []
@@ -90,7 +88,6 @@ class Experience:
         slots = [self._agents.pop((player, behavior, agent), _NONE) for agent in agents.ids.tolist()]
         known = np.array(slots, np.intp)
         which = known >= 0
-        self.undecided += len(known) - int(np.count_nonzero(which))
         transitions = np.full(len(known), _NONE, np.intp)
         if which.any():
             chosen = known[which]
@@ -196,7 +193,7 @@ class Experience:
         plain = {
             "agents": [[*agent, slot] for agent, slot in self._agents.items()],
             "free": list(self._free),
-            "numbers": [self._episodes, self.closed, self.undecided],
+            "numbers": [self._episodes, self.closed],
             "masked": self._masked,
         }
         return {**arrays, "allowed": self._allowed.used, **plain}
@@ -215,7 +212,7 @@ class Experience:
         self._slots = {name: state[f"slot_{name}"].copy() for name in self._slots}
         self._agents = {(player, behavior, agent): slot for player, behavior, agent, slot in state["agents"]}
         self._free, self._masked = list(state["free"]), state["masked"]
-        self._episodes, self.closed, self.undecided = state["numbers"]
+        self._episodes, self.closed = state["numbers"][:2]
 
     def _enter(self, agent: Agent) -> int:
         if not self._free:

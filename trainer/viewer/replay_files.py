@@ -30,7 +30,7 @@ def replay_run(
         folder: Its results.
         draft: Of the folder.
         connection: How a player is reached, if one is needed.
-        checkpoint: Play this checkpoint (``step-500736``) instead of showing the run's evaluation; its files are named
+        checkpoint: Play this checkpoint (``step-501760``) instead of showing the run's evaluation; its files are named
             after it.
         episodes: How many the page shows.
 
