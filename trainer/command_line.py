@@ -29,6 +29,17 @@ COMMANDS = {
     "bench": "Bench",
 }
 
+# Of mlagents-learn's options those that have another name here.
+OF_MLAGENTS_LEARN = {
+    "--initialize-from": "name that run's folder as a behavior's init_path in the file",
+    "--torch-device": "--device says where networks compute",
+    "--inference": "corridor evaluate plays what was trained",
+    "--deterministic": "an evaluation plays the most likely actions; of training, network_settings has deterministic",
+    "--load": "--resume goes on with a run",
+    "--debug": "leave it out",
+    "--no-graphics-monitor": "--no-graphics is the default here; leave it out",
+}
+
 
 def run_command(arguments: list[str]) -> int:
     """Runs a command; returns the process's exit code."""
@@ -79,6 +90,9 @@ def parse(arguments: list[str]) -> Any:
     kind, typed = _kind(name), f"corridor {name}"
     if name == "study" and rest and rest[0] in (studies := import_module(f"{COMMAND_MODULES}.study").STUDIES):
         kind, typed, rest = studies[rest[0]], f"{typed} {rest[0]}", rest[1:]
+    for each in rest if name == "train" else []:
+        if (option := each.partition("=")[0]) in OF_MLAGENTS_LEARN:
+            raise TrainerError(f"{option} is mlagents-learn's; {OF_MLAGENTS_LEARN[option]}.")
     try:
         command = _read(kind, typed, rest)
         over = command.over_its_file() if name == "train" else None

@@ -236,18 +236,22 @@ class RunConfig(Settings):
             "torch_settings": {"device": self.device},
         }
 
-    def check_behaviors(self, found: Iterable[str]) -> None:
+    def check_behaviors(self, found: Iterable[str]) -> list[str]:
         """Refuses an environment whose behaviors are not those that settings and lessons are for.
 
         Args:
             found: Its behaviors, with or without their teams.
 
+        Returns:
+            Those that are listed and may come later.
+
         Raises:
             TrainerError: One is not listed, or one that is listed or that a lesson waits for is not there.
         """
         names = [each.partition("?")[0] for each in found]
-        check_behaviors(names, *read_behaviors(self.behaviors, self.default_settings))
-        Curricula(self.environment_parameters).check_behaviors(names)
+        late = check_behaviors(names, *read_behaviors(self.behaviors, self.default_settings))
+        Curricula(self.environment_parameters).check_behaviors([*names, *late])
+        return late
 
     def as_dict(self) -> dict[str, Any]:
         """Plain names and values, as ``from_dict`` reads them."""

@@ -88,7 +88,7 @@ def settings_for(
 
 def check_behaviors(
     found: Collection[str], behaviors: Mapping[str, BehaviorSettings], default: BehaviorSettings | None
-) -> None:
+) -> list[str]:
     """Refuses an environment whose behaviors are not those that settings are for.
 
     Args:
@@ -96,16 +96,21 @@ def check_behaviors(
         behaviors: Those that are listed.
         default: The default settings, if there are any.
 
+    Returns:
+        Those that are listed and not there, while all that are there are listed: they may come later.
+
     Raises:
-        SettingError: One is not listed, and there are no default settings; or one that is listed is not there.
+        SettingError: One is not listed, and there are no default settings; or one that is listed is not there, and one
+            that is there, which may be the one that was meant, is not listed.
     """
     for name in found:
         settings_for(name, behaviors, default)
-    for name in behaviors:
-        if name not in found:
-            raise SettingError(
-                f"behaviors has {shown(name)}, which the environment doesn't have ({nearest(name, found)}); rename it, "
-                "or take it out.",
-                "behaviors",
-                name,
-            )
+    missing = [name for name in behaviors if name not in found]
+    if missing and not set(found) <= set(behaviors):
+        raise SettingError(
+            f"behaviors has {shown(missing[0])}, which the environment doesn't have ({nearest(missing[0], found)}); "
+            "rename it, or take it out.",
+            "behaviors",
+            missing[0],
+        )
+    return missing

@@ -45,11 +45,13 @@ def parse_parameter(name: str, value: Any, seed: int) -> Value:
             f"The environment parameter {shown(name)} can't be sent; give it a name of at most {NAME_LENGTH} ASCII "
             "characters."
         )
-    number = NUMBER.read(value)
+    number = _number(value)
     if number is not None:
         return number
     try:
         return _sampler(value, seed)
+    except _WrongSampler as error:
+        raise SettingError(f"The environment parameter {name} has a sampler of which {error}.") from error
     except (KeyError, TypeError, ValueError) as error:
         forms = "; ".join(f"{kind} with {', '.join(names)}" for kind, names in SAMPLERS.items() if kind != "constant")
         raise SettingError(
@@ -58,39 +60,57 @@ def parse_parameter(name: str, value: Any, seed: int) -> Value:
         ) from error
 
 
+class _WrongSampler(Exception):
+    """One of a known type; what is wrong with it."""
+
+
 def _sampler(value: Any, seed: int) -> Sampler | float:
     """The sampler that a value describes; KeyError, TypeError or ValueError if it has another form."""
     kind, given = value["sampler_type"], value["sampler_parameters"]
-    if len(value) > 2 or not isinstance(given, Mapping) or not set(given) <= {"seed", *SAMPLERS[kind]}:
+    known = SAMPLERS[kind]
+    if len(value) > 2 or not isinstance(given, Mapping):
         raise ValueError
+    for each in given:
+        if each not in ("seed", *known):
+            raise _WrongSampler(f"{shown(each)} is no parameter; known ones are {', '.join(known)}")
     own = SEED.read(given.get("seed", -1), whole=True)
     if own is None:
-        raise ValueError
+        raise _WrongSampler(
+            f"the seed is {shown(given['seed'])}, but a whole number from -1 to 2147483647 was expected"
+        )
     seed = seed if own == -1 else int(own)
-    numbers = [given.get(name, default) for name, default in SAMPLERS[kind].items()]
-    if kind == "constant":
-        return _finite(numbers[0])
     if kind == "multirangeuniform":
-        pairs = [_in_order(_finite(low), _finite(high)) for low, high in numbers[0]]
-        if not pairs:
-            raise ValueError
-        return MultiRangeUniform(seed, tuple(pairs))
-    first, second = map(_finite, numbers)
+        return MultiRangeUniform(seed, _intervals(given.get("intervals", known["intervals"])))
+    numbers = [_finite(name, given.get(name, default)) for name, default in known.items()]
+    if kind == "constant":
+        return numbers[0]
     if kind == "uniform":
-        return Uniform(seed, *_in_order(first, second))
-    if second < 0.0:
-        raise ValueError
-    return Gaussian(seed, first, second)
+        return Uniform(seed, *_in_order(*numbers))
+    if numbers[1] < 0.0:
+        raise _WrongSampler(f"st_dev is {numbers[1]:g}, but 0 or more was expected")
+    return Gaussian(seed, *numbers)
+
+
+def _intervals(values: Any) -> tuple[tuple[float, float], ...]:
+    each = values if isinstance(values, list | tuple) else []
+    if not each or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in each):
+        raise _WrongSampler("intervals is no list of pairs of numbers, such as [[0, 1], [3, 4]]")
+    return tuple(_in_order(_finite("an interval's end", low), _finite("an interval's end", high)) for low, high in each)
 
 
 def _in_order(low: float, high: float) -> tuple[float, float]:
     if low > high:
-        raise ValueError
+        raise _WrongSampler(f"the least value, {low:g}, is above the greatest, {high:g}")
     return low, high
 
 
-def _finite(value: object) -> float:
-    number = NUMBER.read(value)
+def _finite(name: str, value: object) -> float:
+    number = _number(value)
     if number is None:
-        raise ValueError
+        raise _WrongSampler(f"{name} is {shown(value)}, but a number was expected")
     return number
+
+
+def _number(value: object) -> float | None:
+    """A number, or a text of one: YAML 1.1 reads 1e-3 as a text."""
+    return NUMBER.parse(value) if isinstance(value, str) else NUMBER.read(value)

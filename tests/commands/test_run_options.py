@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 from yaml_files import BALANCE, HALLWAY, PYRAMIDS, RECORDED, WALL_JUMP
 
+from corridor_server.protocol.samplers import Uniform
 from trainer.behavior_settings import (
     BehaviorSettings,
     CuriositySignal,
@@ -23,6 +24,7 @@ from trainer.behavior_settings import (
     SACHyperparameters,
 )
 from trainer.errors import TrainerError
+from trainer.parameter_values import parse_parameter
 from trainer.run_options import CheckpointSettings, EnvSettings, RunOptions, TorchSettings
 
 
@@ -126,6 +128,8 @@ def test_the_hallway_needs_a_memory(read, tmp_path):
 
 
 BEHAVIOR = "behaviors:\n  A:\n    "
+SAMPLED = "environment_parameters:\n  a: {sampler_type: "
+UNIFORM = SAMPLED + "uniform, sampler_parameters: "
 CURRICULUM = "environment_parameters:\n  a:\n    curriculum:\n    - "
 
 
@@ -191,9 +195,27 @@ CURRICULUM = "environment_parameters:\n  a:\n    curriculum:\n    - "
         ("environment_parameters:\n  a: far", 2, "The environment parameter a is 'far', but a number was expected, or"),
         ("environment_parameters:\n  5: 5", 2, "The environment parameter 5 can't be sent; give it a name of at most"),
         (
-            "environment_parameters:\n  a: {sampler_type: uniform, sampler_parameters: {min_value: 2, max_value: 1}}",
+            "environment_parameters:\n  a: {sampler_type: uniform, sampler_params: {min_value: 2, max_value: 1}}",
             2,
             "a is .*, but a number was expected, or a sampler_type with its",
+        ),
+        (UNIFORM + "{min_value: 2}}", 2, "a has a sampler of which the least value, 2, is above the greatest, 1."),
+        (
+            UNIFORM + "{min: 2}}",
+            2,
+            "a has a sampler of which 'min' is no parameter; known ones are min_value, max_value.",
+        ),
+        (UNIFORM + "{min_value: low}}", 2, "a has a sampler of which min_value is 'low', but a number was expected."),
+        (UNIFORM + "{seed: 0.5}}", 2, "a has a sampler of which the seed is 0.5, but a whole number from -1"),
+        (
+            SAMPLED + "gaussian, sampler_parameters: {st_dev: -1}}",
+            2,
+            "a has .* st_dev is -1, but 0 or more was expected",
+        ),
+        (
+            SAMPLED + "multirangeuniform, sampler_parameters: {intervals: [[1]]}}",
+            2,
+            "a has .* intervals is no list of pa",
         ),
         ("environment_parameters:\n  a:\n    curriculum: []", 3, r"The curriculum of a is \[\], but a list of lessons"),
         ("environment_parameters:\n  a:\n    curriculum: []\n    b: 1", 4, "a has a curriculum and 'b'; values belong"),
@@ -238,6 +260,13 @@ def test_what_cant_be_used_is_named_with_its_file_and_line(read, tmp_path, text,
 def test_sections_whose_lines_are_all_comments_say_nothing(read):
     assert read("behaviors:\nenv_settings:\n# num_envs: 5\ndefault_settings:\n") == RunOptions()
     assert read("") == RunOptions()
+
+
+def test_a_samplers_number_may_be_what_yaml_reads_as_a_text(read):
+    text = UNIFORM + "{min_value: 1e-3, max_value: 1}}\n  b: 1e-3"
+    parameters = read(text).environment_parameters
+    assert parse_parameter("a", parameters["a"], 5) == Uniform(5, 0.001, 1.0)
+    assert parse_parameter("b", parameters["b"], 5) == 0.001
 
 
 def test_cuda_0_is_cuda_and_a_seed_of_minus_one_is_none(read):

@@ -227,6 +227,12 @@ def test_behaviors_that_the_environment_lacks_or_that_the_file_lacks_are_named(t
         both.check_behaviors(["Pyramid"])
 
 
+def test_behaviors_that_are_listed_and_the_lessons_that_wait_for_them_may_come_late(typed):
+    _, run = typed(WALL_JUMP, "FILE", "--run-id", "r")
+    assert run.check_behaviors(["BigWallJump?team=0"]) == ["SmallWallJump"]
+    assert run.check_behaviors(["BigWallJump", "SmallWallJump"]) == []
+
+
 def test_a_lesson_that_waits_for_a_behavior_that_is_not_there(typed):
     _, right = typed(WALL_JUMP, "FILE", "--run-id", "r")
     right.check_behaviors(["BigWallJump?team=0", "SmallWallJump?team=0"])

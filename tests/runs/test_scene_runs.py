@@ -11,6 +11,7 @@ import pytest
 import yaml
 from asked import asked
 from raw_player import write_player
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from corridor_server.protocol.agents import Agents, Behavior, Sensor
 from trainer.curriculum import Curricula
@@ -193,6 +194,73 @@ def test_returns_that_no_lesson_has_counted_yet_are_saved(config):
     assert former.ended_returns == [1.0, 2.0]
     later.load_state_dict(former.state_dict())
     assert later.ended_returns == [1.0, 2.0]
+
+
+def test_a_lesson_of_progress_ends_though_no_episode_does(config, tmp_path):
+    criteria = {"behavior": "Walker", "measure": "progress", "threshold": 0.5}
+    height = [{"name": "low", "value": 1, "completion_criteria": criteria}, {"name": "high", "value": 2}]
+    curricula = Curricula({"height": {"curriculum": height}})
+    training = SceneTraining(config, RunFolder(tmp_path / "r"), Walkers(length=0), Counters(), curricula, None)
+    training.train(lambda agents: None)
+    assert curricula.numbers == {"height": 1}
+
+
+def test_a_smoothed_reward_comes_nearer_at_every_step_as_in_mlagents(config, tmp_path):
+    """The mean return is 1.5 from the second step on, and 1.5 (1 - 0.25^n) is above 1.499 from n = 6 on."""
+    criteria = {"behavior": "Walker", "threshold": 1.499, "min_lesson_length": 2}
+    height = [{"name": "low", "value": 1, "completion_criteria": criteria}, {"name": "high", "value": 2}]
+    curricula = Curricula({"height": {"curriculum": height}})
+    scene = Walkers(length=2)
+    reached = []
+    scene.set_parameters = lambda values: reached.append(scene._step)
+    SceneTraining(config, RunFolder(tmp_path / "r"), scene, Counters(), curricula, None).train(lambda agents: None)
+    assert reached == [7]
+
+
+def test_rewards_are_logged_by_their_signals_times_their_strengths(config, tmp_path):
+    for signals, tags in (
+        ({"extrinsic": {"strength": 0.5}, "rnd": {}}, {"Policy/Extrinsic Reward", "Policy/Rnd Reward"}),
+        ({"extrinsic": {"strength": 0.5}, "curiosity": {}}, {"Policy/Extrinsic Reward", "Policy/Curiosity Reward"}),
+        ({"extrinsic": {"strength": 0.5}}, {"Policy/Extrinsic Reward"}),
+    ):
+        folder = tmp_path / "-".join(signals)
+        train(replace(config, default_settings={**SETTINGS, "reward_signals": signals}), folder, Walkers())
+        events = EventAccumulator(str(folder / "tensorboard"))
+        events.Reload()
+        found = set(events.Tags()["scalars"])
+        assert {each for each in found if each.startswith("Policy/") and each.endswith(" Reward")} == tags
+        assert not {each for each in found if "Lesson Number" in each}, "those of the preset's corridor were not told"
+        last = [events.Scalars(tag)[-1].value for tag in ("Policy/Extrinsic Reward", "rollout/ep_rew_mean")]
+        assert last[0] == pytest.approx(0.5 * last[1])
+        column = [row["curiosity_return"] for row in csv.DictReader((folder / "progress.csv").open())][-1]
+        assert bool(column) == (len(signals) > 1)
+
+
+def test_another_runs_policy_begins_one_of_other_reward_signals_but_for_the_value_heads(config, tmp_path, capsys):
+    run = tmp_path / "former"
+    train(config, run, Walkers())
+    saved = read_checkpoint(run / "checkpoints").part("learner Walker")
+    given = {**SETTINGS, "init_path": str(run)}
+    both = {**given, "reward_signals": {"extrinsic": {}, "curiosity": {}}}
+    for settings, anew in ((given, set()), (both, {"value_net.weight", "value_net.bias"})):
+        learners, scene = BehaviorLearners(replace(config, default_settings=settings), Walkers()), Walkers()
+        learners.take(scene.reset())
+        ((_, learner),) = learners
+        weights = learner.weights()
+        same = {name for name, value in weights.items() if np.array_equal(saved[f"policy/{name}"], value)}
+        assert set(weights) - same == anew
+        assert ("The value heads of Walker begin anew" in capsys.readouterr().out) == bool(anew)
+    wide = {**given, "network_settings": {"hidden_units": 5}}
+    with pytest.raises(TrainerError, match=r"other settings: .* is \(4, 2\) there and \(5, 2\) here; give it the netw"):
+        BehaviorLearners(replace(config, default_settings=wide), Walkers()).take(Walkers().reset())
+
+
+def test_a_linear_schedule_is_at_its_end_in_the_last_update(config, tmp_path):
+    train(config, tmp_path / "r", Walkers())
+    events = EventAccumulator(str(tmp_path / "r" / "tensorboard"))
+    events.Reload()
+    rates = [each.value for each in events.Scalars("Policy/Learning Rate")]
+    assert rates == pytest.approx([3e-4 * (1 - steps / 80) for steps in (24, 40, 64, 80)], abs=1e-9)
 
 
 def test_an_evaluation_ends_though_episodes_do_not(config):

@@ -49,9 +49,9 @@ class TrainingOptions(Options):
     preset: Annotated[
         PresetName | None, tyro.conf.arg(help_behavior_hint=f"(default: {PRESET}; of studies {STUDIED})")
     ] = None
-    """fast: many copies of the training area at once; case-studies: the same with a larger r_i, as the studies have it;
-    threshold: the same with a longer way, where c = 0.5 is too much; paper: one area, through UnityToGymWrapper, as the
-    paper did."""
+    """What it begins as. fast has many copies of the training area at once, case-studies the same with a larger r_i
+    (the studies'), threshold the same with a longer way, where c = 0.5 is too much, and paper one area, through
+    UnityToGymWrapper, as the paper did."""
     steps: Annotated[
         Count | None, tyro.conf.arg(help_behavior_hint=f"(default: {PAPER_STEPS:,}, or what the file says)")
     ] = None

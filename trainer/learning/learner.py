@@ -25,6 +25,7 @@ from trainer.learning.rewards import Signal
 from trainer.learning.transitions import Decided, EndedEpisode, Observed, Singles, Transitions, joined
 
 WINDOW = 100  # episodes that running means are over
+POLICY = "policy"  # the part of a state that acts
 LOSS_TAGS = {
     "forward_loss": "Losses/Curiosity Forward Loss",
     "inverse_loss": "Losses/Curiosity Inverse Loss",
@@ -91,6 +92,11 @@ class Learner(ABC):
     def progress(self) -> float:
         """The share of its steps that it has learned from, 0 to 1."""
         return min(self.learned / self.settings.max_steps, 1.0)
+
+    @property
+    def strengths(self) -> dict[str, float]:
+        """Of each reward that it learns from, by the signal's name."""
+        return {signal.name: signal.strength for signal in self._signals}
 
     @property
     def intrinsic_strength(self) -> float:
@@ -202,7 +208,7 @@ class Learner(ABC):
         """All of it, between two messages: arrays and plain values, by ``<part>/<name>``."""
         self.remember()
         parts: dict[str, Mapping[str, Any]] = {
-            "policy": self.weights(),
+            POLICY: self.weights(),
             "observations": self.observations.state_dict(),
             "experience": self.experience.state_dict(),
             **{signal.name: signal.module.state_dict() for signal in self._signals if signal.module is not None},
@@ -240,7 +246,7 @@ class Learner(ABC):
             KeyError: Something is missing.
             RuntimeError: The policy has other parameters.
         """
-        self.policy.load_state_dict(tensors_of(part_of(state, "policy")))
+        self.policy.load_state_dict(tensors_of(part_of(state, POLICY)))
         self.observations.load_state_dict(part_of(state, "observations"))
 
     @abstractmethod

@@ -100,8 +100,8 @@ class PPOLearner(Learner):
     def learn(self) -> bool:
         """Makes an update of what was taken, or begins one; see ``Learner.learn``."""
         self.finish()
-        progress = self.progress
         transitions = self._take_closed()
+        progress = self.progress
         over, self._over = self._over, []
         if self.settings.threaded and not self.is_done:
             self._running = self._beside.submit(self._update, transitions, over, progress)

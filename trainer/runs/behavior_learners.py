@@ -11,14 +11,16 @@ from corridor_server.protocol.agents import ActionBatch, Behavior, Sensor
 from trainer.config import RunConfig
 from trainer.errors import TrainerError
 from trainer.learning.device import device_for
-from trainer.learning.learner import Learner
+from trainer.learning.learner import POLICY, Learner, part_of
 from trainer.learning.ppo_learner import PPOLearner
 from trainer.learning.rewards import build_signals
 from trainer.learning.sac_learner import SACLearner
 from trainer.players.scene import Message, Scene
 from trainer.runs.checkpoint import Checkpoint, check_layers, read_checkpoint, read_checkpoint_file
+from trainer.terminal import Terminal
 
 LEARNER = "learner "  # before a behavior's name, in a checkpoint
+VALUE_HEADS = "value_net."  # of a policy's parameters
 
 
 class BehaviorLearners:
@@ -124,7 +126,7 @@ class BehaviorLearners:
             behavior = behavior_from(described)
             self._learners.setdefault(name, _blank(self._config, name, behavior))  # what it began with is in here
             learner = self._of(behavior)
-            _load(checkpoint, name, learner, to_play)
+            _load(_state_of(checkpoint, name), name, learner, to_play)
 
     def described(self) -> dict[str, Any]:
         """What each behavior observes and does, as plain values; the inverse of ``behavior_from``."""
@@ -156,9 +158,11 @@ class BehaviorLearners:
         if learner.settings.init_path is not None:
             path = Path(learner.settings.init_path)
             checkpoint = read_checkpoint(path / "checkpoints") if path.is_dir() else read_checkpoint_file(path)
+            state = _state_of(checkpoint, name)
             if isinstance(learner, PPOLearner):
                 check_layers(checkpoint, name)
-            _load(checkpoint, name, learner, to_play=True)
+                state = _with_own_values(state, name, learner)
+            _load(state, name, learner, to_play=True)
         return learner
 
 
@@ -171,7 +175,7 @@ def restored_learners(config: RunConfig, checkpoint: Checkpoint) -> dict[str, Le
     learners, config = {}, replace(config, device="cpu")
     for name, described in checkpoint.part("behaviors").items():
         learners[name] = _blank(config, name, behavior_from(described))
-        _load(checkpoint, name, learners[name], to_play=True)
+        _load(_state_of(checkpoint, name), name, learners[name], to_play=True)
     return learners
 
 
@@ -184,14 +188,40 @@ def _blank(config: RunConfig, name: str, behavior: Behavior) -> Learner:
     return PPOLearner(behavior, settings, signals, seed, device)
 
 
-def _load(checkpoint: Checkpoint, name: str, learner: Learner, to_play: bool) -> None:
+def _state_of(checkpoint: Checkpoint, name: str) -> Mapping[str, Any]:
     state = checkpoint.part(f"{LEARNER}{name}")
     if not state:
         raise TrainerError(f"The checkpoint has no behavior {name!r}; give one of a run that trained it.")
+    return state
+
+
+def _with_own_values(state: Mapping[str, Any], name: str, learner: Learner) -> Mapping[str, Any]:
+    """Another run's policy for one of other reward signals: actor and layers are as they were, value heads are new."""
+    own, given = _heads(learner.weights()), _heads(part_of(state, POLICY))
+    if {key: each.shape for key, each in own.items()} == {key: each.shape for key, each in given.items()}:
+        return state
+    Terminal().print(f"The value heads of {name} begin anew: those of its init_path are for other reward signals.")
+    kept = {key: each for key, each in state.items() if key.removeprefix(f"{POLICY}/") not in given}
+    return kept | {f"{POLICY}/{key}": each.copy() for key, each in own.items()}
+
+
+def _heads(weights: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: each for key, each in weights.items() if key.startswith(VALUE_HEADS)}
+
+
+def _load(state: Mapping[str, Any], name: str, learner: Learner, to_play: bool) -> None:
+    here, there = (
+        {key: each.shape for key, each in weights.items()} for weights in (learner.weights(), part_of(state, POLICY))
+    )
     try:
         (learner.load_policy if to_play else learner.load_state_dict)(state)
     except (KeyError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:300]
+        for key in here | there:
+            if here.get(key) != there.get(key):
+                found = f"{key} is {there.get(key, 'not')} there and {here.get(key, 'not')} here"
+                reason = f"{found}; give it the network and the trainer_type of that run."
+                break
         raise TrainerError(f"The checkpoint's policy of {name} is for other settings: {reason}") from error
 
 

@@ -7,8 +7,10 @@ import numpy as np
 from stable_baselines3.common.logger import Logger
 
 from trainer.learning.learner import WINDOW, Learner
-from trainer.runs.logs import ProgressFile, TensorBoardLog
+from trainer.runs.logs import PROGRESS_COLUMNS, ProgressFile, TensorBoardLog
 from trainer.runs.progress import Snapshot
+
+INTRINSIC_RETURN = PROGRESS_COLUMNS["curiosity_return"]  # ML-Agents' tag of curiosity; the column is of any such reward
 
 
 class BehaviorLog:
@@ -64,14 +66,15 @@ class BehaviorLog:
             "rollout/ep_len_mean": lengths,
             "Environment/Cumulative Reward": returns,
             "Environment/Episode Length": lengths,
-            "Policy/Extrinsic Reward": returns,
-            "Policy/Curiosity Reward": intrinsic,
+            **_of_signals(learner, returns, intrinsic),
             **learner.metrics,
             **statistics,
         }
         for tag, value in rows.items():
             if value is not None and np.isfinite(value):
                 self._logger.record(tag, value)
+        if intrinsic is not None and INTRINSIC_RETURN not in rows:
+            self._logger.record(INTRINSIC_RETURN, intrinsic, exclude="tensorboard")
         self._logger.record("time/total_timesteps", learner.steps)
         self._logger.record("rollout/episodes", learner.episodes)
         self._logger.record("time/time_elapsed", int(seconds), exclude="tensorboard")
@@ -85,6 +88,15 @@ class BehaviorLog:
     def close(self) -> None:
         """Closes the files."""
         self._logger.close()
+
+
+def _of_signals(learner: Learner, returns: float | None, intrinsic: float | None) -> dict[str, float | None]:
+    """What each reward signal paid for an episode, by ML-Agents' tags."""
+    own = [name for name in learner.strengths if name != "extrinsic"]
+    paid = {f"Policy/{name.capitalize()} Reward": intrinsic for name in own if len(own) == 1}  # of two we have the sum
+    if returns is not None and "extrinsic" in learner.strengths:
+        paid["Policy/Extrinsic Reward"] = returns * learner.strengths["extrinsic"]
+    return paid
 
 
 def _means(learner: Learner) -> tuple[float | None, float | None, float | None]:

@@ -68,7 +68,10 @@ class SceneTraining:
         self._lesson_returns: dict[str, list[float]] = {}  # of episodes since the last change of a lesson
         self._statistics: dict[str, list[float]] = {}  # of the players, since a row was written
         self._messages = scene.reset()
-        config.check_behaviors(scene.behaviors)
+        for name in config.check_behaviors(scene.behaviors):
+            Terminal().print(
+                f"The environment has not shown {name} yet, which the file lists; it is trained once it comes."
+            )
         self._listed = {name.partition("?")[0] for name in scene.behaviors}
         self._goes_on = checkpoint is not None and self._restore(checkpoint)
         # What each had learned from when this part of the run began.
@@ -165,7 +168,7 @@ class SceneTraining:
         changed = must_reset = False
         for name, learner in self.learners:
             ended, learner.ended_returns = learner.ended_returns, []
-            if not ended or not self.curricula.numbers:
+            if not self.curricula.are_taught:
                 continue
             returns = self._lesson_returns.setdefault(name, [])
             returns.extend(ended)
@@ -194,8 +197,8 @@ class SceneTraining:
             self._save()
 
     def _is_time_to_keep(self) -> bool:
-        intervals = [learner.settings.checkpoint_interval for _, learner in self.learners]
-        return self._counters.env_steps - self._kept_steps >= min(intervals)
+        interval = min(learner.settings.checkpoint_interval for _, learner in self.learners)
+        return self._counters.env_steps // interval > self._kept_steps // interval
 
     def _save(self) -> None:
         began = time.monotonic()
@@ -261,7 +264,8 @@ class SceneTraining:
             display.update(self._lines[name], log.snapshot(learner))
             if log.is_due(learner):
                 statistics = {key: float(np.mean(each)) for key, each in self._reported().items() if each}
-                lessons = {f"Environment/Lesson Number/{key}": n for key, n in self.curricula.numbers.items()}
+                told = present_parameters(self._config, self.curricula)
+                lessons = {f"Environment/Lesson Number/{key}": self.curricula.numbers[key] for key in told}
                 log.write(learner, self._counters.wall_seconds, statistics | lessons)
                 self._statistics = {}
 
