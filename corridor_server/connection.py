@@ -117,8 +117,8 @@ class Connection:
                 )
             case grpc.StatusCode.RESOURCE_EXHAUSTED:
                 return ConnectionFailed(
-                    f"The trainer at {self._address} takes no message of {size} bytes; use fewer areas, or smaller "
-                    "pictures."
+                    f"The trainer at {self._address} takes no message of {size} bytes; use fewer areas or smaller "
+                    "pictures, and leave out --camera-raw."
                 )
             case _:
                 return ConnectionBroken(

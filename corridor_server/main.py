@@ -16,13 +16,9 @@ from corridor_server.connection import Connection, ConnectionBroken, ConnectionF
 from corridor_server.player import MakeSimulation, Player, PlayerError
 from corridor_server.player_options import check_options, check_pictures, package_version, parser
 from corridor_server.shared.standard_streams import drop_failing_output
-from corridor_server.simulations.simulation import SimulationError
+from corridor_server.simulations.simulation import SimulationError, Stopped
 
 logger = logging.getLogger("corridor_server")
-
-
-class Stopped(KeyboardInterrupt):
-    """A signal asked the player to stop; in an environment's code nobody takes it for an error of theirs."""
 
 
 def main(arguments: Sequence[str] | None = None, make_simulation: MakeSimulation | None = None) -> int:

@@ -38,6 +38,8 @@ class ActionChoices:
         self.branches: tuple[int, ...] = ()
         self._owner = owner
         self._read = self._reader(space, "the action")
+        if self.continuous + len(self.branches) == 0:
+            raise SimulationError(f"{owner} does nothing: an action of at least one number or choice was expected.")
         if self.continuous + sum(self.branches) > _MOST_CHOICES:
             raise SimulationError(
                 f"{owner} has {self.continuous} numbers and {sum(self.branches)} choices in an action, but at most "
@@ -85,8 +87,8 @@ class ActionChoices:
         for branch, mask in enumerate(masks):
             for row in np.flatnonzero(mask.all(axis=1))[:1]:
                 raise SimulationError(
-                    f"{self._owner} gave agent {ids[row]} an action_mask that forbids every choice of branch {branch}, "
-                    "but at least one that is allowed was expected: no policy can answer it."
+                    f"The environment gave agent {ids[row]} an action_mask that forbids all choices of branch "
+                    f"{branch}, but at least one that is allowed was expected: no policy can answer it."
                 )
         return masks
 
@@ -98,7 +100,7 @@ class ActionChoices:
         """
         if allowed.shape != (sum(self.branches),):
             raise SimulationError(
-                f"{self._owner} gave an action_mask of shape {allowed.shape}, but one value for each of its "
+                f"The environment gave an action_mask of shape {allowed.shape}, but one value for each of its "
                 f"{sum(self.branches)} choices was expected."
             )
 

@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from corridor_server.simulations.declared_parameters import ParameterTaker
 from corridor_server.simulations.observation_sensors import ACTION_MASK
-from corridor_server.simulations.simulation import SimulationError
+from corridor_server.simulations.simulation import SimulationError, number_of
 
 
 class Event(NamedTuple):
@@ -106,7 +106,10 @@ class ParallelArea(AgentArea):
 
     def _begin(self, seed: int | None) -> None:
         observations, infos = self._env.reset(seed=seed)
-        self._asking = [Event(agent, observations[agent], mask=_mask(infos.get(agent))) for agent in self._env.agents]
+        self._asking = [
+            Event(agent, _of(observations, agent, "observation"), mask=_mask(infos.get(agent)))
+            for agent in self._env.agents
+        ]
 
     def step(self, actions: Mapping[str, Any]) -> list[Event]:
         """Gives them all their actions; returns those that ended."""
@@ -114,16 +117,18 @@ class ParallelArea(AgentArea):
         ended: list[Event] = []
         self._asking = []
         for agent in actions:
-            terminated = bool(terminations[agent])
-            over = terminated or bool(truncations[agent]) or agent not in self._env.agents
-            observation = deepcopy(observations[agent]) if over else observations[agent]  # a reset may write into it
-            mask = _mask(infos.get(agent))
-            event = Event(agent, observation, float(rewards[agent]), over, over and not terminated, mask, acted=True)
+            terminated = bool(_of(terminations, agent, "termination"))
+            over = terminated or bool(_of(truncations, agent, "truncation")) or agent not in self._env.agents
+            observation = _of(observations, agent, "observation")
+            if over:  # a reset may write into it
+                observation = deepcopy(observation)
+            reward, mask = number_of(_of(rewards, agent, "reward")), _mask(infos.get(agent))
+            event = Event(agent, observation, reward, over, over and not terminated, mask, acted=True)
             (ended if over else self._asking).append(event)
         for agent in self._env.agents:  # one that came; of one that ended before, some environments tell on
             if agent not in actions and not terminations.get(agent, False) and not truncations.get(agent, False):
-                reward, mask = float(rewards.get(agent, 0.0)), _mask(infos.get(agent))
-                self._asking.append(Event(agent, observations[agent], reward, mask=mask))
+                reward, mask = number_of(rewards.get(agent, 0.0)), _mask(infos.get(agent))
+                self._asking.append(Event(agent, _of(observations, agent, "observation"), reward, mask=mask))
         return ended
 
     def asking(self) -> list[Event]:
@@ -152,7 +157,7 @@ class TurnsArea(AgentArea):
             agent = self._env.agent_selection
             over = bool(terminated or truncated)
             interrupted = bool(truncated and not terminated)
-            event = Event(agent, observation, float(reward), over, interrupted, _mask(info))
+            event = Event(agent, observation, number_of(reward), over, interrupted, _mask(info))
             if not over:
                 self._asking = [event]
                 return ended
@@ -166,6 +171,12 @@ class TurnsArea(AgentArea):
     def asking(self) -> list[Event]:
         """The one whose turn it is."""
         return self._asking
+
+
+def _of(told: Mapping[str, Any], agent: str, what: str) -> Any:
+    if agent not in told:
+        raise SimulationError(f"The environment gave no {what} of agent {agent}, who was to have one in this step.")
+    return told[agent]
 
 
 def _mask(info: Mapping[str, Any] | None) -> Any:

@@ -17,8 +17,8 @@ from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from corridor_server.simulations.declared_parameters import ParameterTaker
-from corridor_server.simulations.observation_sensors import ACTION_MASK, batched, check_shapes
-from corridor_server.simulations.simulation import NotRestored, SimulationError
+from corridor_server.simulations.observation_sensors import ACTION_MASK, batched, check_parts
+from corridor_server.simulations.simulation import NotRestored, SimulationError, number_of
 
 _CLOSING_SECONDS = 1.0  # for processes that are still at work
 
@@ -135,7 +135,7 @@ class CopiesHere(Copies):
         return Stepped(
             batched(self.observation_space, observations),
             [info.get(ACTION_MASK) for info in infos],
-            np.array([reward if type(reward) is float else _number(reward) for reward in rewards]),
+            np.array([reward if type(reward) is float else number_of(reward) for reward in rewards]),
             np.fromiter(terminated, np.bool_),
             np.fromiter(truncated, np.bool_),
         )
@@ -175,7 +175,7 @@ class CopiesHere(Copies):
             observation, reward, terminated, truncated, info = self.envs[row].step(action)
             if terminated or truncated:
                 raise NotRestored("played once more, an episode ends that had not")
-        return observation, _number(reward), info or {}
+        return observation, number_of(reward), info or {}
 
     def close(self) -> None:
         """Closes every one, also where another can't be closed."""
@@ -278,23 +278,19 @@ class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Without options as somebody who has none begins an episode."""
         observation, info = self.env.reset(seed=seed, options=options or None)
-        check_shapes(self.observation_space, observation)
+        check_parts(self.observation_space, observation)
         return observation, _only_mask(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """The same of a step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        check_shapes(self.observation_space, observation)
-        return observation, _number(reward), terminated, truncated, _only_mask(info)
+        check_parts(self.observation_space, observation)
+        return observation, number_of(reward), terminated, truncated, _only_mask(info)
 
 
 def _only_mask(info: Mapping[str, Any]) -> dict[str, Any]:
     mask = info.get(ACTION_MASK)
     return {} if mask is None else {ACTION_MASK: [mask]}  # in a list, as a batch has no arrays of different shapes
-
-
-def _number(reward: Any) -> float:
-    return float(np.asarray(reward, np.float64).reshape(()))  # some say [1.0]
 
 
 def _rows(batch: Any, which: NDArray[np.bool_]) -> Any:

@@ -33,6 +33,7 @@ from corridor_server.simulations.observation_sensors import (
     ObservationSensors,
     batched,
     check_finite,
+    float32,
 )
 from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
@@ -167,9 +168,8 @@ class GymnasiumSimulation(PlaysAgain):
             told = self._copies.step(batch)
             ended = told.terminated | told.truncated
             observations, masks = self._read(told.observations, told.masks, self._ids, ended)
-        with np.errstate(over="ignore"):
-            rewards = told.rewards.astype(np.float32)
-        check_finite(rewards, "a reward", self._ids)
+        rewards = float32(told.rewards)
+        check_finite(rewards, "a reward", self._ids, told.rewards)
         agents = Agents.that_ask(self._ids, observations, rewards, masks)
         self._begun_by_end = ended
         if ended.any():
@@ -259,10 +259,7 @@ class GymnasiumSimulation(PlaysAgain):
         self, batch: Any, said: Sequence[Any], ids: NDArray[np.int32], ended: NDArray[np.bool_]
     ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[np.bool_], ...]]:
         """Observations and masks of the agents of these ids, some of which may have ended."""
-        observations = self._sensors.read(batch)
-        for sensor, values in zip(self._sensors.sensors, observations, strict=True):
-            if values.dtype == np.float32:
-                check_finite(values, sensor.name, ids)
+        observations = self._sensors.read(batch, ids)
         if not self._choices.branches:
             return observations, ()
         allowed = self._sensors.mask(batch)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +36,7 @@ class ObservationSensors:
 
     A vector, buffer of vectors or picture (height, width, channels) is a Box of as many dimensions; only a uint8
     picture with all of 0 to 255 stays bytes. Discrete parts are one-hot. Parts of a Dict or Tuple are a sensor each,
-    but a Dict's ``action_mask`` is none.
+    but a Dict's ``action_mask`` is none, be it an array or a Dict or Tuple of one for each branch.
 
     Args:
         space: Of one agent's observation.
@@ -47,60 +48,90 @@ class ObservationSensors:
 
     def __init__(self, space: spaces.Space[Any], owner: str) -> None:
         found = dict(_leaves(space, ()))
-        self._mask = (ACTION_MASK,) if (ACTION_MASK,) in found else None
-        self._parts = [_part(path, leaf, owner) for path, leaf in found.items() if path != self._mask]
+        self._masks = [path for path in found if path[:1] == (ACTION_MASK,)]
+        self._parts = [_part(path, leaf, owner) for path, leaf in found.items() if path not in self._masks]
         if not self._parts:
             raise SimulationError(f"{owner} observes nothing, but at least one vector or picture was expected.")
         self.sensors = tuple(part.sensor for part in self._parts)
 
-    def read(self, batch: Any) -> tuple[NDArray[Any], ...]:
-        """A batch of observations, as Gymnasium's vector environments have it, as an array per sensor."""
-        return tuple(part.read(_at(batch, part.path)) for part in self._parts)
+    def read(self, batch: Any, ids: NDArray[np.int32]) -> tuple[NDArray[Any], ...]:
+        """Observations as an array per sensor.
+
+        Args:
+            batch: Of them, as Gymnasium's vector environments have it.
+            ids: The agents'.
+
+        Raises:
+            SimulationError: One is NaN, infinite or no float32.
+        """
+        return tuple(self._read(part, _at(batch, part.path), ids) for part in self._parts)
 
     def mask(self, batch: Any) -> NDArray[Any] | None:
         """Which choices the observations allow, (n, choices); None if they don't say."""
-        return None if self._mask is None else np.asarray(_at(batch, self._mask))
+        each = [np.asarray(_at(batch, path)) for path in self._masks]
+        if len(each) > 1:
+            return np.concatenate([part.reshape(len(part), -1) for part in each], axis=1)
+        return each[0] if each else None
+
+    def _read(self, part: _Part, given: NDArray[Any], ids: NDArray[np.int32]) -> NDArray[Any]:
+        values = part.read(given)
+        if values.dtype == np.float32:
+            check_finite(values, part.sensor.name, ids, given)
+        return values
 
 
 def batched(space: spaces.Space[Any], observations: Sequence[Any]) -> Any:
     """A batch of observations, as Gymnasium's vector environments have it, of the same space.
 
     Raises:
-        ValueError: One has another shape than the space.
+        ValueError: A part of one has another shape than the space, or numbers that the space's type can't hold.
     """
     count = len(observations)
-    try:
-        if space.shape is not None:  # no Dict or Tuple; one array is a third of the time of ``concatenate``
+    if space.shape is not None:  # no Dict or Tuple; one array is a third of the time of ``concatenate``
+        with suppress(ValueError):  # they differ in their shapes
             batch = np.array(observations)
             if (batch.shape, batch.dtype) == ((count, *space.shape), space.dtype):
                 return batch
-        into: Any = create_empty_array(space, count)
+    for observation in observations:
+        check_parts(space, observation)
+    into: Any = create_empty_array(space, count)
+    with np.errstate(over="ignore", under="ignore"):
         return concatenate(space, observations, into)
-    except Exception:  # whatever an author gave
-        for observation in observations:
-            check_shapes(space, observation)
-        raise
 
 
-def check_shapes(space: spaces.Space[Any], observation: Any) -> None:
-    """Refuses an observation of which a part has another shape than the space.
+def check_parts(space: spaces.Space[Any], observation: Any) -> None:
+    """Refuses an observation of which a part has another shape than the space, or numbers that its type can't hold.
 
     Raises:
         ValueError: It has.
     """
     for path, part in _leaves(space, ()):
-        shape = np.shape(_at(observation, path))
-        if shape != part.shape:
-            raise ValueError(f"{_named(path)} of shape {shape} came, but {part.shape} was expected")
+        values = np.asarray(_at(observation, path))
+        if values.shape != part.shape:
+            raise ValueError(f"{_named(path)} of shape {values.shape} came, but {part.shape} was expected")
+        if part.dtype is None or values.dtype == part.dtype:
+            continue
+        if not np.can_cast(values.dtype, part.dtype, "same_kind"):
+            raise ValueError(f"{_named(path)} of {values.dtype} came, but {part.dtype} was expected")
+        if part.dtype.kind in "iu":
+            for number in values[values.astype(part.dtype) != values].ravel()[:1]:
+                raise ValueError(f"{_named(path)} has {number}, which {part.dtype} can't hold")
 
 
-def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32]) -> None:
+def float32(values: NDArray[Any]) -> NDArray[np.float32]:
+    """A copy; what is too large becomes infinite, and what is too small 0, whatever an author has NumPy do then."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.array(values, np.float32)
+
+
+def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32], given: NDArray[Any] | None = None) -> None:
     """Refuses NaN and infinity.
 
     Args:
         values: A row per agent.
         what: They are, for the error.
         ids: The agents'.
+        given: What they were made of, number by number.
 
     Raises:
         SimulationError: There is one.
@@ -109,9 +140,10 @@ def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32]) -> Non
     if np.count_nonzero(finite) < finite.size:
         row, *place = np.argwhere(~finite)[0].tolist()
         where = f"[{', '.join(map(str, place))}]" if place else ""
+        number = float((values if given is None else np.reshape(given, values.shape))[row, *place])
+        expected = "numbers that float32 can hold" if np.isfinite(number) else "finite numbers"
         raise SimulationError(
-            f"The environment gave agent {int(ids[row])} {what}{where} = {float(values[row, *place])}, but finite "
-            "numbers were expected."
+            f"The environment gave agent {int(ids[row])} {what}{where} = {number}, but {expected} were expected."
         )
 
 
@@ -180,7 +212,7 @@ def _bytes(values: NDArray[Any]) -> NDArray[Any]:
 
 def _floats(shape: tuple[int, ...]) -> Callable[[NDArray[Any]], NDArray[Any]]:
     def read(values: NDArray[Any]) -> NDArray[Any]:
-        return np.array(values, np.float32).reshape(len(values), *shape)
+        return float32(values).reshape(len(values), *shape)
 
     return read
 

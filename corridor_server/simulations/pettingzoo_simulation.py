@@ -20,7 +20,7 @@ from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
 from corridor_server.simulations.declared_parameters import DeclaredParameters
 from corridor_server.simulations.environment_memory import Memory
-from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite
+from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite, float32
 from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
     Moment,
@@ -274,12 +274,10 @@ class PettingZooSimulation(PlaysAgain):
         numbers = [area * len(self._names) + self._numbers[event.agent] for area, event in found]
         ids = np.array(numbers, np.int32)
         batch = batched(role.observation_space, [event.observation for event in events])
-        observations = role.sensors.read(batch)
-        for sensor, values in zip(role.sensors.sensors, observations, strict=True):
-            if values.dtype == np.float32:
-                check_finite(values, sensor.name, ids)
-        rewards = np.array([event.reward for event in events], np.float32)
-        check_finite(rewards, "a reward", ids)
+        observations = role.sensors.read(batch, ids)
+        given = np.array([event.reward for event in events])
+        rewards = float32(given)
+        check_finite(rewards, "a reward", ids, given)
         group_ids, group_rewards = np.zeros(len(ids), np.int32), np.zeros(len(ids), np.float32)
         if role.grouped:
             group_ids += np.array([1 + area * len(self._roles) + index for area, _ in found], np.int32)

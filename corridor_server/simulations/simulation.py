@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior
 from corridor_server.protocol.samplers import Value
+from corridor_server.shared.given import shown
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +26,10 @@ class NotRestored(Exception):
     """A saved state can't be taken up, and nothing has changed; the message says why."""
 
 
+class Stopped(KeyboardInterrupt):
+    """A signal asked the player to stop; in an environment's code nobody takes it for an error of theirs."""
+
+
 def failed(what: str, error: BaseException) -> SimulationError:
     """What is said of an author's code that raised: one sentence with the error's own words."""
     said = " ".join(str(error).split())[:300]
@@ -33,14 +38,26 @@ def failed(what: str, error: BaseException) -> SimulationError:
     return SimulationError(f"{what} ({type(error).__name__}{': ' if said else ''}{said}).")
 
 
+def number_of(reward: object) -> float:
+    """A reward that an author's code gave; some say [1.0].
+
+    Raises:
+        ValueError: It is no number.
+    """
+    value = np.asarray(reward)
+    if value.dtype.kind not in "fiub" or value.size != 1:
+        raise ValueError(f"a reward is {shown(reward)}, but a number was expected")
+    return float(value.reshape(()))
+
+
 @contextmanager
 def blaming(what: str) -> Iterator[None]:
     """Says of an author's code within it that it failed, also of code that would end the process."""
     try:
         yield
-    except SimulationError:
+    except (SimulationError, Stopped):
         raise
-    except (Exception, SystemExit) as error:  # whatever an author's code raises
+    except BaseException as error:  # whatever an author's code raises
         raise failed(what, error) from error
 
 
@@ -48,7 +65,9 @@ def try_to_close(name: str, close: Callable[[], object]) -> bool:
     """Closes what an author wrote; returns whether that went well. If not, the session was no worse for it."""
     try:
         close()
-    except (Exception, SystemExit) as error:  # whatever an author's code raises
+    except Stopped:
+        raise
+    except BaseException as error:  # whatever an author's code raises
         logger.warning("%s", failed(f"{name} failed when it was closed", error))
         return False
     return True

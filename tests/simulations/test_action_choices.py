@@ -149,8 +149,8 @@ def test_a_mask_that_leaves_a_branch_no_choice_is_refused_but_of_who_ended():
     with pytest.raises(SimulationError) as caught:
         choices.forbidden(allowed, ids, np.array([False, False]))
     assert str(caught.value) == (
-        "It gave agent 7 an action_mask that forbids every choice of branch 1, but at least one that is allowed was "
-        "expected: no policy can answer it."
+        "The environment gave agent 7 an action_mask that forbids all choices of branch 1, but at least one that is "
+        "allowed was expected: no policy can answer it."
     )
     masks = choices.forbidden(allowed, ids, np.array([False, True]))
     assert not any(mask.any() for mask in masks)
@@ -160,7 +160,9 @@ def test_a_mask_that_leaves_a_branch_no_choice_is_refused_but_of_who_ended():
 def test_a_mask_of_another_number_of_choices_is_refused(shape):
     with pytest.raises(SimulationError) as caught:
         ActionChoices(spaces.MultiDiscrete([2, 3]), "It").check_mask(np.ones(shape))
-    said = f"It gave an action_mask of shape {shape}, but one value for each of its 5 choices was expected."
+    said = (
+        f"The environment gave an action_mask of shape {shape}, but one value for each of its 5 choices was expected."
+    )
     assert str(caught.value) == said
 
 
@@ -192,3 +194,11 @@ def test_too_many_choices_are_refused(space, numbers, choices):
         ActionChoices(space, "Env-v0")
     said = f"Env-v0 has {numbers} numbers and {choices} choices in an action, but at most 10000 can be carried."
     assert str(caught.value) == said
+
+
+@pytest.mark.parametrize("space", [spaces.Tuple(()), spaces.Dict({})])
+def test_an_agent_that_does_nothing_is_refused(space):
+    with pytest.raises(
+        SimulationError, match=r"^Env-v0 does nothing: an action of at least one number or choice was ex"
+    ):
+        ActionChoices(space, "Env-v0")

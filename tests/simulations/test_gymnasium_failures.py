@@ -48,9 +48,14 @@ def test_an_environment_that_raises_is_named_with_its_own_words_in_one_line(wher
     assert isinstance(caught.value.__cause__, ValueError)
 
 
-def test_an_environment_that_would_end_the_process_has_failed(play_gymnasium):
-    with pytest.raises(SimulationError, match=r"failed in a step \(SystemExit: 3\)"):
-        run(play_gymnasium(failing("step", SystemExit(3))))
+@pytest.mark.parametrize("raised", [SystemExit(3), KeyboardInterrupt(3), GeneratorExit(3), BaseException(3)])
+def test_an_environment_that_would_end_the_process_has_failed(raised, play_gymnasium, caplog):
+    name = type(raised).__name__
+    with pytest.raises(SimulationError, match=rf"failed in a step \({name}: 3\)"):
+        run(play_gymnasium(failing("step", raised)))
+    unclosable = type("Unclosable", (Count,), {"close": lambda self: (_ for _ in ()).throw(raised)})
+    play_gymnasium(unclosable).close()
+    assert f"failed when it was closed ({name}" in caplog.text or isinstance(raised, GeneratorExit)
 
 
 def test_a_stop_of_the_player_in_the_middle_of_a_step_is_no_failure_of_the_environment(play_gymnasium):
@@ -58,6 +63,65 @@ def test_a_stop_of_the_player_in_the_middle_of_a_step_is_no_failure_of_the_envir
 
     with pytest.raises(Stopped):
         run(play_gymnasium(failing("step", Stopped("Stopped by SIGTERM"))))
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([0.7, -1.5], "observation of float64 came, but int16 was expected"),
+        ([40000, 5], "observation has 40000, which int16 can't hold"),
+        (["1", "2"], "observation of <U1 came, but int16 was expected"),
+        ([1, 2j], "observation of complex128 came, but int16 was expected"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*(Received the following error|Traceback|Raising the last)")
+def test_numbers_that_the_spaces_type_cant_hold_are_refused_in_any_process(given, said, mode, play_gymnasium):
+    class Rounded(Count):
+        observation_space = spaces.Box(-30000, 30000, (2,), np.int16)
+
+        def reset(self, **options):
+            super().reset(**options)
+            return np.array([1, 2]), {}
+
+        def step(self, action):
+            return np.array(given), *super().step(action)[1:]
+
+    simulation = play_gymnasium(Rounded, mode=mode)
+    with pytest.raises(SimulationError, match=rf"failed in a step \(ValueError: {said}"):
+        run(simulation)
+
+
+def test_what_float32_cant_hold_is_named_as_it_was_given(play_gymnasium):
+    class Huge(Count):
+        observation_space = spaces.Box(-np.inf, np.inf, (2,), np.float64)
+
+        def reset(self, **options):
+            super().reset(**options)
+            return np.array([1.0, -8e299]), {}
+
+    said = r"gave agent 0 observation\[1\] = -8e\+299, but numbers that float32 can hold were expected"
+    with pytest.raises(SimulationError, match=said):
+        play_gymnasium(Huge).reset()
+
+
+def test_what_is_too_small_for_float32_is_0_though_the_environment_has_numpy_raise_then(play_gymnasium):
+    class Strict(Count):
+        observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float64)
+
+        def reset(self, **options):
+            super().reset(**options)
+            return np.array([1e-50]), {}
+
+        def step(self, action):
+            return np.array([1e-50]), 1e-50, *super().step(action)[2:]
+
+    with np.errstate(all="raise"):
+        simulation = play_gymnasium(Strict)
+        simulation.reset()
+        _, agents = answer(simulation)
+    assert not agents.rewards.any()
+    assert not agents.observations[0].any()
 
 
 @pytest.mark.parametrize("at", ["step", "reset"])
@@ -182,16 +246,17 @@ def test_copies_of_different_spaces_are_refused(play_gymnasium):
         play_gymnasium(Growing)
 
 
-@pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf, 1e300, None])
+@pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_reward_that_is_no_number_is_named(reward, play_gymnasium):
-    number = {1e300: "inf", None: "nan"}.get(reward, str(reward))
-    with pytest.raises(SimulationError, match=f"The environment gave agent 0 a reward = {number}, but finite"):
+    expected = "numbers that float32 can hold" if reward == 1e300 else "finite numbers"
+    with pytest.raises(SimulationError) as caught:
         run(play_gymnasium(given(reward=reward)))
+    assert str(caught.value) == f"The environment gave agent 0 a reward = {reward}, but {expected} were expected."
 
 
-@pytest.mark.parametrize("reward", ["much", [1.0, 2.0], {}])
-def test_a_reward_of_another_kind_is_a_failure(reward, play_gymnasium):
-    with pytest.raises(SimulationError, match="failed in a step"):
+@pytest.mark.parametrize("reward", ["much", [1.0, 2.0], {}, None, 1j, np.complex64(1j)])
+def test_a_reward_of_another_kind_is_a_failure_that_shows_it(reward, play_gymnasium):
+    with pytest.raises(SimulationError, match=r"failed in a step \(ValueError: a reward is .*, but a number was exp"):
         run(play_gymnasium(given(reward=reward)))
 
 

@@ -121,7 +121,7 @@ def test_a_mask_that_forbids_everything_is_refused_but_at_the_end(play_gymnasium
     simulation.reset()
     answer(simulation)
     simulation._copies.envs[1].unwrapped.length = 2
-    with pytest.raises(SimulationError, match=r"Mine0-v0 gave agent 1 an action_mask that forbids every .* branch 0"):
+    with pytest.raises(SimulationError, match=r"gave agent 1 an action_mask that forbids all .* branch 0"):
         answer(simulation)
 
 

@@ -16,7 +16,9 @@ def batched(space, *observations):
 
 
 def read(space, *observations):
-    return ObservationSensors(space, "It").read(batched(space, *observations))
+    return ObservationSensors(space, "It").read(
+        batched(space, *observations), np.arange(len(observations), dtype=np.int32)
+    )
 
 
 def refusal(space):
@@ -112,7 +114,7 @@ def test_each_part_of_a_dict_or_tuple_is_a_sensor_named_after_its_way():
         "eye": np.full((2, 2, 3), 9, np.uint8),
         "body": (np.array([0.5, -0.5], np.float32), {"mode": 1}),
     }
-    values = dict(zip(shapes, found.read(batched(space, seen)), strict=True))
+    values = dict(zip(shapes, found.read(batched(space, seen), np.zeros(1, np.int32)), strict=True))
     assert values["body/0"].tolist() == [[0.5, -0.5]]
     assert values["body/1/mode"].tolist() == [[0, 1]]
     assert (values["eye"] == 9).all()
@@ -127,11 +129,25 @@ def test_a_dicts_action_mask_is_no_sensor_but_says_what_is_allowed():
     assert ObservationSensors(spaces.Discrete(2), "It").mask(np.array([1])) is None
 
 
+@pytest.mark.parametrize("kind", [tuple, dict])
+def test_a_mask_may_be_one_for_each_branch(kind):
+    branches = [spaces.MultiBinary(2), spaces.MultiBinary(3)]
+    given = [np.array([0, 1], np.int8), np.array([1, 1, 0], np.int8)]
+    named = {"a": branches[0], "b": branches[1]}
+    of_branches = spaces.Tuple(branches) if kind is tuple else spaces.Dict(named)
+    told = tuple(given) if kind is tuple else dict(zip(named, given, strict=True))
+    space = spaces.Dict({"action_mask": of_branches, "seen": spaces.Box(0, 1, (2,))})
+    found = ObservationSensors(space, "It")
+    assert [sensor.name for sensor in found.sensors] == ["seen"]
+    batch = batched(space, {"action_mask": told, "seen": np.zeros(2, np.float32)})
+    assert found.mask(batch).tolist() == [[0, 1, 1, 1, 0]]
+
+
 def test_what_is_read_is_a_copy_as_environments_go_on_writing():
     space = spaces.Box(0, 255, (1, 1, 3), np.uint8)
     for each in (space, spaces.Box(0, 1, (3,))):
         batch = batched(each, np.zeros(each.shape, each.dtype))
-        [values] = ObservationSensors(each, "It").read(batch)
+        [values] = ObservationSensors(each, "It").read(batch, np.arange(2, dtype=np.int32))
         batch[:] = 1
         assert (values == 0).all()
 
@@ -157,7 +173,7 @@ def test_a_batch_is_no_view_of_what_came():
 
 
 def test_numbers_that_would_lose_their_fractions_are_refused():
-    with pytest.raises(TypeError, match="Cannot cast"):
+    with pytest.raises(ValueError, match="observation of float64 came, but uint8 was expected"):
         observation_sensors.batched(spaces.Box(0, 255, (2,), np.uint8), [np.array([0.5, 1.5])])
 
 

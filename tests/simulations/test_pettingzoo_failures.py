@@ -80,3 +80,32 @@ def test_a_reward_that_is_no_number_is_named(reward, play_pettingzoo):
     simulation = play_pettingzoo(lambda: Together(rewards={"hare_0": reward}))
     with pytest.raises(SimulationError, match=f"The environment gave agent 2 a reward = {reward}, but finite"):
         answer(simulation, simulation.reset())
+
+
+WHAT = ["observation", "reward", "termination", "truncation"]
+
+
+@pytest.mark.parametrize("index", range(4), ids=WHAT)
+def test_what_is_not_told_of_an_agent_that_acted_is_named(index, play_pettingzoo):
+    class Silent(Together):
+        def step(self, actions):
+            told = super().step(actions)
+            del told[index]["hare_0"]
+            return told
+
+    simulation = play_pettingzoo(Silent)
+    with pytest.raises(
+        SimulationError, match=f"^The environment gave no {WHAT[index]} of agent hare_0, who was to have"
+    ):
+        answer(simulation, simulation.reset())
+
+
+def test_a_reward_in_a_list_is_one_as_behind_gymnasium(play_pettingzoo):
+    class Listed(Together):
+        def step(self, actions):
+            seen, rewards, *rest = super().step(actions)
+            return (seen, {agent: np.array([reward + 0.5]) for agent, reward in rewards.items()}, *rest)
+
+    simulation = play_pettingzoo(Listed)
+    moment = answer(simulation, simulation.reset())
+    assert all((agents.rewards % 1 == 0.5).all() for agents in moment.values())
