@@ -9,6 +9,7 @@ import pytest
 import tyro
 
 from corridor_server.shared.given import Range
+from trainer.command_line import OF_MLAGENTS_LEARN
 from trainer.commands.evaluate import Evaluate
 from trainer.commands.replay import Replay
 from trainer.commands.shared_options import ExistingRun
@@ -125,6 +126,17 @@ def test_a_shared_option_is_refused_with_one_sentence_by_every_command(command, 
     name = " ".join(command[: 1 + (command[0] == "study")])
     expected = "a whole number from 1 up was expected"
     assert said == f"error: --timeout-wait is 0, but {expected}; see corridor {name} --help."
+
+
+@pytest.mark.parametrize("option", OF_MLAGENTS_LEARN)
+def test_an_option_of_mlagents_learns_is_answered_with_what_it_is_here(option, capsys):
+    for typed in ([option], [f"{option}=x"]):
+        assert main(["train", "--run-id", "r", *typed]) == 1
+        assert capsys.readouterr().err.startswith(f"error: {option} is mlagents-learn's; ")
+    for ours in re.findall(r"--[a-z-]+", OF_MLAGENTS_LEARN[option]):
+        with pytest.raises(SystemExit):
+            main(["train", "--help"])
+        assert ours in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -239,10 +239,13 @@ def test_rewards_are_logged_by_their_signals_times_their_strengths(config, tmp_p
 def test_another_runs_policy_begins_one_of_other_reward_signals_but_for_the_value_heads(config, tmp_path, capsys):
     run = tmp_path / "former"
     train(config, run, Walkers())
-    saved = read_checkpoint(run / "checkpoints").part("learner Walker")
     given = {**SETTINGS, "init_path": str(run)}
     both = {**given, "reward_signals": {"extrinsic": {}, "curiosity": {}}}
-    for settings, anew in ((given, set()), (both, {"value_net.weight", "value_net.bias"})):
+    train(replace(config, default_settings={**SETTINGS, "reward_signals": {"rnd": {}}}), tmp_path / "rnd", Walkers())
+    heads = {"value_net.weight", "value_net.bias"}
+    other = {**given, "init_path": str(tmp_path / "rnd"), "reward_signals": {"curiosity": {}}}
+    for settings, anew in ((given, set()), (both, heads), (other, heads)):
+        saved = read_checkpoint(Path(settings["init_path"]) / "checkpoints").part("learner Walker")
         learners, scene = BehaviorLearners(replace(config, default_settings=settings), Walkers()), Walkers()
         learners.take(scene.reset())
         ((_, learner),) = learners

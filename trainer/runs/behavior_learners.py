@@ -21,6 +21,7 @@ from trainer.terminal import Terminal
 
 LEARNER = "learner "  # before a behavior's name, in a checkpoint
 VALUE_HEADS = "value_net."  # of a policy's parameters
+INTRINSIC = ("curiosity", "rnd")
 
 
 class BehaviorLearners:
@@ -198,7 +199,9 @@ def _state_of(checkpoint: Checkpoint, name: str) -> Mapping[str, Any]:
 def _with_own_values(state: Mapping[str, Any], name: str, learner: Learner) -> Mapping[str, Any]:
     """Another run's policy for one of other reward signals: actor and layers are as they were, value heads are new."""
     own, given = _heads(learner.weights()), _heads(part_of(state, POLICY))
-    if {key: each.shape for key, each in own.items()} == {key: each.shape for key, each in given.items()}:
+    signals = {key.partition("/")[0] for key in state} & set(INTRINSIC)  # those of its own making leave their networks
+    is_alike = {key: each.shape for key, each in own.items()} == {key: each.shape for key, each in given.items()}
+    if is_alike and signals == set(learner.strengths) & set(INTRINSIC):
         return state
     Terminal().print(f"The value heads of {name} begin anew: those of its init_path are for other reward signals.")
     kept = {key: each for key, each in state.items() if key.removeprefix(f"{POLICY}/") not in given}
