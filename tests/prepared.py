@@ -15,7 +15,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-IMPORTED = ("pytest", "corridor_server.main", "trainer.main", "trainer.command_line", "trainer.runs.run", "compiled")
+IMPORTED = (
+    "pytest",
+    "corridor_server.main",
+    "trainer.main",
+    "trainer.command_line",
+    "trainer.runs.run",
+    "trainer.runs.figures",
+    "compiled",
+)
 _FORKS = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload([*IMPORTED])
 

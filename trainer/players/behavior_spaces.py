@@ -15,6 +15,7 @@ from mlagents_envs.base_env import (
 )
 from numpy.typing import NDArray
 
+from corridor_server.shared.given import shown
 from trainer.errors import TrainerError
 
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
@@ -95,11 +96,6 @@ class ObservationLayout:
             for index, each in enumerate(steps.obs)
         ]
 
-    def empty(self, count: int) -> list[NDArray[np.float32]]:
-        """Room for so many agents' observations."""
-        boxes = self.space.spaces.values() if isinstance(self.space, spaces.Dict) else [self.space]
-        return [np.zeros((count, *(box.shape or ())), dtype=np.float32) for box in boxes]
-
     def value(self, parts: Sequence[NDArray[np.float32]]) -> Observation:
         """The space's own value for what ``parts`` gave: a row of each for one agent, or all rows."""
         return parts[0] if self._one_vector else {f"obs_{index}": part for index, part in enumerate(parts)}
@@ -137,17 +133,61 @@ def action_arrays(spec: ActionSpec, actions: Any, count: int) -> tuple[NDArray[n
 
     Returns:
         Continuous actions (count, size) and discrete ones (count, branches).
+
+    Raises:
+        TrainerError: They have another shape, are no numbers, or choose what a branch does not have.
     """
     if spec.is_continuous():
-        numbers, choices = actions, np.zeros((count, 0))
-    elif spec.is_discrete():
-        numbers, choices = np.zeros((count, 0)), actions
-    else:
-        numbers, choices = actions
-    return (
-        np.asarray(numbers).reshape(count, spec.continuous_size).astype(np.float32, copy=False),
-        np.asarray(choices).reshape(count, spec.discrete_size).astype(np.int32, copy=False),
-    )
+        numbers = _rows(actions, count, spec.continuous_size)
+        return numbers.astype(np.float32, copy=False), np.empty((count, 0), np.int32)
+    if spec.is_discrete():
+        return np.empty((count, 0), np.float32), _choices(actions, count, spec.discrete_branches)
+    if not isinstance(actions, tuple | list) or len(actions) != 2:
+        raise TrainerError(
+            f"The action is {shown(actions)}, but a pair was expected: continuous numbers and discrete choices."
+        )
+    numbers = _rows(actions[0], count, spec.continuous_size)
+    return numbers.astype(np.float32, copy=False), _choices(actions[1], count, spec.discrete_branches)
+
+
+def _rows(given: Any, count: int, size: int) -> NDArray[Any]:
+    """Numbers as (count, size); one agent's may be without that axis, and so may one number of each agent.
+
+    Raises:
+        TrainerError: They are no numbers, or have another shape.
+    """
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0, object)
+    if array.dtype.kind not in "biuf":
+        raise TrainerError(
+            f"The action is {shown(given)}, but {size} numbers for each of {count} agents were expected."
+        )
+    flat = array.ndim < 2 and array.size == count * size and 1 in (count, size)
+    if array.shape != (count, size) and not flat:
+        raise TrainerError(
+            f"The actions have shape {array.shape}, but {(count, size)} was expected, a row for each agent."
+        )
+    return array.reshape(count, size)
+
+
+def _choices(given: Any, count: int, branches: Sequence[int]) -> NDArray[np.int32]:
+    """Choices as (count, branches).
+
+    Raises:
+        TrainerError: As ``_rows``; or one is none of its branch's.
+    """
+    array = _rows(given, count, len(branches))
+    wrong = ~((array >= 0) & (array < np.asarray(branches)) & (array % 1 == 0))  # NaN compares to nothing
+    if wrong.any():
+        row, branch = map(int, np.argwhere(wrong)[0])
+        whose = f" of agent {row}" if count > 1 else ""
+        raise TrainerError(
+            f"The choice{whose} in branch {branch} is {array[row, branch]}, but a whole number from 0 to "
+            f"{branches[branch] - 1} was expected."
+        )
+    return array.astype(np.int32, copy=False)
 
 
 def allowed_choices(spec: ActionSpec, decision: DecisionSteps) -> NDArray[np.bool_]:

@@ -60,6 +60,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         # From the player: a message's bytes, or None when its connection broke. To the player: its next message.
         self._received: SimpleQueue[bytes | None] = SimpleQueue()
         self._replies: SimpleQueue[bytes] = SimpleQueue()
+        self._unanswered = False  # whether the player owes an answer, which an interrupt or a timeout left unread
         self._peer: str | None = None
         self._pool = _DaemonPool(HANDLERS)
         try:
@@ -127,12 +128,18 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
         return None if data is None else parse(data).unity_output
 
     def exchange_bytes(self, message: bytes, poll_callback: PollCallback | None = None) -> bytes | None:
-        """Sends a serialised UnityMessageProto and returns the player's, or None when the player has stopped."""
+        """Sends a serialised UnityMessageProto and returns the player's, or None when the player has stopped.
+
+        The answer to an earlier one that nobody waited for to its end is taken and dropped before.
+        """
+        if self._unanswered and self._receive(poll_callback) is None:
+            return None
         self.send(message)
         return self.receive(poll_callback)
 
     def send(self, message: bytes) -> None:
         """Sends a serialised UnityMessageProto, and does not wait for the answer."""
+        self._unanswered = True
         self._replies.put(message)
 
     def receive(self, poll_callback: PollCallback | None = None) -> bytes | None:
@@ -173,6 +180,7 @@ class ExchangeCommunicator(Communicator):  # type: ignore[misc]  # mlagents_envs
                     break
                 if patience.is_over():
                     raise UnityTimeOutException(f"The player sent nothing for {self._timeout_wait:g} s.") from None
+        self._unanswered = False
         if data is None:
             _wait_for_exit(poll_callback)
         return data

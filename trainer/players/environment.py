@@ -2,14 +2,19 @@
 
 import atexit
 import struct
+import subprocess
 import time
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from mlagents_envs.base_env import BehaviorSpec, DecisionSteps, TerminalSteps
 from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.exception import (
+    UnityCommunicationException,
     UnityCommunicatorStoppedException,
+    UnityException,
     UnityObservationException,
     UnitySideChannelException,
 )
@@ -21,6 +26,7 @@ from corridor_server.protocol.agent_rows import AgentRows
 from corridor_server.protocol.agents import ActionBatch
 from corridor_server.protocol.columnar import read_output, write_step
 from corridor_server.protocol.side_channels import SideChannelError, split
+from corridor_server.protocol.trainer_messages import stopping
 from corridor_server.shared.addresses import LOOPBACK
 from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.errors import TrainerError
@@ -28,6 +34,7 @@ from trainer.players import steps as mlagents_steps
 from trainer.players.announcements import check_behaviors
 from trainer.players.channels_first import channels_last
 from trainer.players.communicator import ExchangeCommunicator, parse
+from trainer.players.failures import FAILURES, last_lines
 
 FAREWELL_SECONDS = 1  # for a player to end by itself, once it was told to
 
@@ -46,6 +53,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         host: Where to listen.
         number: Of several players; names the log of one that is launched.
         graphics: Whether a launched player shall open a window and render.
+        log: Where a launched player logs, whose end is a note of what it fails with; None for one without.
         **options: ``UnityEnvironment``'s.
 
     Attributes:
@@ -65,6 +73,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         host: str = LOOPBACK,
         number: int = 0,
         graphics: bool = False,
+        log: Path | None = None,
         **options: Any,
     ) -> None:
         seed = options.get("seed", 0)
@@ -72,6 +81,8 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             raise TrainerError(f"The seed is {seed!r}, but a whole number from {-(2**31)} to {2**31 - 1} was expected.")
         self._host = host
         self.exchange_seconds = 0.0
+        self._log = log
+        self._in_step = False  # from a step's first half to the end of its second
         self._undecided = 0
         self._rows: dict[str, AgentRows] | None = None
         worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
@@ -108,8 +119,13 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             process.wait()  # of one that had to be killed, too: no zombie stays
 
     def reset(self) -> None:
-        """Begins an episode everywhere."""
-        super().reset()
+        """Begins an episode everywhere; what is left of a step that was interrupted is dropped."""
+        try:
+            super().reset()
+        except FAILURES as error:
+            self._quote_log(error)
+            raise
+        self._in_step = False
         self._rows = mlagents_steps.rows_of(self.behavior_specs)
 
     def _update_behavior_specs(self, output: Any) -> None:
@@ -156,7 +172,16 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         self.receive()
 
     def send(self) -> None:
-        """The first half of ``step``: the player computes from here on, while the caller does something else."""
+        """The first half of ``step``: the player computes from here on, while the caller does something else.
+
+        Raises:
+            UnityCommunicationException: The step before did not come to its end.
+        """
+        if self._in_step:
+            raise UnityCommunicationException(
+                "The step before this one failed, timed out or was interrupted; call reset() before the next."
+            )
+        self._in_step = True
         began = time.perf_counter()
         for name, spec in self._env_specs.items():
             if name not in self._env_actions:
@@ -173,9 +198,13 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     def receive(self) -> None:
         """The second half of ``step``: waits for the player's message, which ``get_steps`` then shows."""
         began = time.perf_counter()
-        data = self._communicator.receive(self._poll_process)
-        if data is None:
-            raise UnityCommunicatorStoppedException("Communicator has exited.")
+        try:
+            data = self._communicator.receive(self._poll_process)
+            if data is None:
+                raise UnityCommunicatorStoppedException("Communicator has exited.")
+        except FAILURES as error:
+            self._quote_log(error)
+            raise
         read = None if self._rows is None else read_output(data, self._rows)
         if read is None:
             output = parse(data).unity_output
@@ -192,7 +221,18 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
             self._count_undecided()
             self._side_channel_manager.process_side_channel_message(read[1])
         self._env_actions.clear()
+        self._in_step = False
         self.exchange_seconds += time.perf_counter() - began
+
+    def _quote_log(self, error: UnityException) -> None:
+        """Puts beside what the player failed with what it said itself; ``corridor train`` has that in its sentence."""
+        if self._log is None or self._process is None:
+            return
+        if self._communicator.end_announced:  # its log says why once it has its answer
+            self._communicator.send(stopping().SerializeToString())
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(FAREWELL_SECONDS)
+        error.add_note(last_lines(self._log).strip() or f"The player's log, {self._log}, is empty.")
 
     def _get_communicator(self, worker_id: int, base_port: int, timeout_wait: int) -> ExchangeCommunicator:
         return ExchangeCommunicator(worker_id, base_port, timeout_wait, self._host)

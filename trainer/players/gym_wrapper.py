@@ -127,14 +127,18 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         """Gives the agent an action and runs the player until it asks for the next, or its episode ends.
 
         Raises:
-            UnityGymException: The episode is over, and reset() has not been called since; or the action is not finite.
+            UnityGymException: The episode is over, and reset() has not been called since; or the action is none.
         """
         if self._needs_reset:
             raise UnityGymException("The episode is over; call reset() before step().")
         self._first_decision = None
-        if self._flattened is not None:
-            action = self._flattened[int(action)]
-        numbers, choices = action_arrays(self.group_spec.action_spec, action, 1)
+        try:
+            if self._flattened is not None:
+                _, chosen = action_arrays(ActionSpec.create_discrete((len(self._flattened),)), action, 1)
+                action = self._flattened[int(chosen[0, 0])]
+            numbers, choices = action_arrays(self.group_spec.action_spec, action, 1)
+        except TrainerError as error:
+            raise UnityGymException(str(error)) from error
         if not np.isfinite(numbers).all():
             raise UnityGymException(f"The action is {action!r}, but finite numbers were expected.")
         self._env.set_actions(self.name, ActionTuple(numbers, choices))

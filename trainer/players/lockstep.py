@@ -68,13 +68,11 @@ class Lockstep:
         self.behavior, self.spec = only_behavior(environment)
         self.layout = ObservationLayout(self.spec, channels_first)
         self._fresh = True  # only_behavior's reset began an episode that the first reset() gives out
-        self.decision = self._first_decisions()
+        self._dropped = 0  # agents that ended before their first decision, since statistics were last attributed
+        self.decision: DecisionSteps = self._first_decisions()
         self.count = len(self.decision)
         self._slots: dict[int, int] = {}
-        self._dropped = 0  # agents that ended before their first decision, since statistics were last attributed
-        self._in_order: NDArray[np.intp] = np.arange(self.count)
-        self._agent_ids: NDArray[np.int32] = self.decision.agent_id
-        self.observations = self.layout.empty(self.count)
+        self._begin(self.decision)
 
     def reset(self) -> None:
         """Begins an episode in every slot.
@@ -85,15 +83,12 @@ class Lockstep:
         if not self._fresh:
             self.environment.reset()
         self._fresh = False
-        self.decision = self._first_decisions()
-        if len(self.decision) != self.count:
+        decision = self._first_decisions()
+        if len(decision) != self.count:
             raise TrainerError(
-                f"{len(self.decision)} agents asked for a decision after a reset, but {self.count} did before."
+                f"{len(decision)} agents asked for a decision after a reset, but {self.count} did before."
             )
-        self._slots = {agent: slot for slot, agent in enumerate(self.decision.agent_id.tolist())}
-        self._agent_ids = self.decision.agent_id
-        self._in_order = np.arange(self.count)
-        self.observations = [part.copy() for part in self.layout.parts(self.decision)]
+        self._begin(decision)
         self._take_statistics()
 
     def send(self, numbers: NDArray[np.float32], choices: NDArray[np.int32]) -> None:
@@ -153,6 +148,13 @@ class Lockstep:
         if not self._closed:
             self._closed = True
             self.environment.close()
+
+    def _begin(self, decision: DecisionSteps) -> None:
+        """Gives every agent that asks a slot, in their order."""
+        self.decision, self._agent_ids = decision, decision.agent_id
+        self._slots = {agent: slot for slot, agent in enumerate(decision.agent_id.tolist())}
+        self._in_order: NDArray[np.intp] = np.arange(len(decision))
+        self.observations = [part.copy() for part in self.layout.parts(decision)]
 
     def _first_decisions(self) -> DecisionSteps:
         """After a reset, what the agents show that ask first: Unity may have messages before, without any that asks."""

@@ -12,9 +12,9 @@ from mlagents_envs.side_channel.side_channel import SideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
-from corridor_server.shared.given import shown
+from corridor_server.shared.given import Range, shown
 from trainer.config import ConnectionOptions, RestartLimits, RunConfig
-from trainer.corridor import DEFAULT_PENALTY, is_corridor
+from trainer.corridor import DEFAULT_PENALTY, check_areas, is_corridor
 from trainer.curriculum import Curricula
 from trainer.errors import TrainerError
 from trainer.players.area_state import PlayerState
@@ -34,15 +34,18 @@ from trainer.seeds import player_seed
 from trainer.signals import deferred
 from trainer.terminal import Terminal
 
+AREAS = Range(1, 2**31 - 1)  # what the protocol carries
+SECONDS = Range(0, 10**9)
+
 
 def open_environment(
-    env: str,
+    env: str | Path,
     *,
     seed: int,
     num_areas: int,
     port: int,
-    timeout_wait: int,
-    log_folder: Path | None = None,
+    timeout_wait: float,
+    log_folder: str | Path | None = None,
     side_channels: list[SideChannel] | None = None,
     number: int = 0,
     env_args: Sequence[str] = (),
@@ -66,8 +69,19 @@ def open_environment(
         graphics: Whether a launched build shall open a window and render, as cameras in a scene need.
 
     Raises:
-        TrainerError: No such executable, port in use, nobody dialled in, or the player stopped.
+        TrainerError: An argument is none that can be, no such executable, port in use, nobody dialled in, or the
+            player stopped.
     """
+    env = str(env)
+    num_areas = int(_number("num_areas", num_areas, AREAS, whole=True))
+    port = int(_number("port", port, PORTS, whole=True))
+    timeout_wait = _number("timeout_wait", timeout_wait, SECONDS)
+    if isinstance(env_args, str) or not all(isinstance(each, str) for each in env_args):
+        raise TrainerError(
+            f"env_args is {shown(env_args)}, but a list of texts was expected, such as ['--gym', 'CartPole-v1']."
+        )
+    if env == BUILTIN:
+        check_areas(num_areas)
     file_name, host, port = place(env, port, listen)
     port += number
     if PORTS.read(port, whole=True) is None:
@@ -93,20 +107,26 @@ def open_environment(
             "leave it.",
             style="yellow",
         )
-    if log_folder is not None:
-        log_folder.mkdir(parents=True, exist_ok=True)
-        options["log_folder"] = str(log_folder.absolute())
+    log = None if log_folder is None else PlayerLogs(Path(log_folder)).of(number)
+    if log is not None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        options["log_folder"] = str(log.parent.absolute())
+        if file_name is not None:
+            log.unlink(missing_ok=True)  # who fails before it logs anything must not be quoted with another's words
     try:
-        return Environment(file_name, port, host, number, **options)
+        return Environment(file_name, port, host, number, log=log, **options)
     except UnityWorkerInUseException as error:
-        raise TrainerError(f"Port {port} on {host} is in use; choose another with --base-port.") from error
+        raise TrainerError(
+            f"Port {port} on {host} is in use; choose another with --base-port (in Python, port)."
+        ) from error
     except UnityTimeOutException as error:
         raise TrainerError(
-            f"No player dialled in on {authority(host, port)} within {timeout_wait} s; start one with "
-            f"'--mlagents-port {port}', or give it more time with --timeout-wait." + _said(log_folder, number)
+            f"No player dialled in on {authority(host, port)} within {timeout_wait:g} s; start one with "
+            f"'--mlagents-port {port}', or give it more time with --timeout-wait (in Python, timeout_wait)."
+            + _said(log)
         ) from error
     except UnityException as error:
-        raise TrainerError(sentence(error) + _said(log_folder, number)) from error
+        raise TrainerError(sentence(error) + _said(log)) from error
     except OSError as error:
         raise TrainerError(
             f"{file_name} does not run on this machine ({platform.system()} {platform.machine()}: {error.strerror}); "
@@ -302,8 +322,20 @@ def _as_slots(config: RunConfig, logs: PlayerLogs, number: int, player: Connecte
         raise
 
 
-def _said(log_folder: Path | None, number: int) -> str:
-    return "" if log_folder is None else last_lines(PlayerLogs(log_folder).of(number))
+def _number(name: str, value: Any, numbers: Range, whole: bool = False) -> float:
+    """An argument that is a number.
+
+    Raises:
+        TrainerError: It is another, or none.
+    """
+    read = numbers.read(value, whole)
+    if read is None:
+        raise TrainerError(f"{name} is {shown(value)}, but {numbers.expected(whole)}.")
+    return read
+
+
+def _said(log: Path | None) -> str:
+    return "" if log is None else last_lines(log)
 
 
 def _one_area(config: RunConfig, environment: Environment, statistics: Statistics) -> VecEnv:

@@ -275,7 +275,10 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
             raise TrainerError(
                 f"Agent {name} has no action, but one for each of {', '.join(self.agents)} was expected."
             )
-        numbers, choices = action_arrays(self._kinds[key.behavior].spec.action_spec, actions[name], 1)
+        try:
+            numbers, choices = action_arrays(self._kinds[key.behavior].spec.action_spec, actions[name], 1)
+        except TrainerError as error:
+            raise TrainerError(f"Agent {name}: {error}") from error
         if not np.isfinite(numbers).all():
             raise TrainerError(f"The action of {name} is {actions[name]}, but finite numbers were expected.")
         return numbers, choices
