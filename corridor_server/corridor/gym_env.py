@@ -8,6 +8,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from corridor_server.corridor import world
+from corridor_server.corridor.areas import NAME
 from corridor_server.corridor.corridor_config import CorridorConfig
 from corridor_server.corridor.drawing import top_view
 from corridor_server.corridor.parameters import EpisodeParameters
@@ -84,8 +85,9 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Info
 
-    At an episode's end `info["statistics"]` has the values that the player sends over the statistics channel, by name,
-    and `info["is_success"]` says whether the target was reached.
+    At an episode's end `info["statistics"]` has the values that the player sends over the statistics channel, by the
+    names that they have there (`Corridor/Success` and others), and `info["is_success"]` says whether the target was
+    reached.
 
     ## Arguments
 
@@ -150,7 +152,8 @@ class CorridorEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info: dict[str, Any] = {}
         if outcome.ended[0]:
             self._needs_reset = True
-            statistics = {name: float(values[0]) for name, values in world.statistics(self._state, outcome).items()}
+            of_episode = world.statistics(self._state, outcome)
+            statistics = {f"{NAME}/{name}": float(values[0]) for name, values in of_episode.items()}
             info = {"statistics": statistics, "is_success": bool(outcome.success[0])}
         truncated = bool(outcome.truncated[0])
         terminated = bool(outcome.ended[0]) and not truncated

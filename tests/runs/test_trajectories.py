@@ -135,7 +135,7 @@ def test_an_evaluation_records_what_the_in_process_world_says(tmp_path):
             assert terminated == (t + 1 == len(episode.rewards))
             assert not truncated
         assert info["is_success"] == episode.succeeded
-        assert {f"Corridor/{name}": np.float32(value) for name, value in info["statistics"].items()} == {
+        assert {name: np.float32(value) for name, value in info["statistics"].items()} == {
             name: np.float32(value) for name, value in episode.statistics.items()
         }
 

@@ -50,7 +50,7 @@ def _episode(corridor: dict, area: int, haste: float) -> Episode:
         rewards=np.array(rewards, np.float32),
         truncated=False,
         slot=area,
-        statistics={f"Corridor/{name}": value for name, value in info["statistics"].items()},
+        statistics=info["statistics"],
         values=np.linspace(0.5, -2.5, len(observations), dtype=np.float32),
         intrinsic_rewards=rng.exponential(0.01, len(rewards)).astype(np.float32),
     )
