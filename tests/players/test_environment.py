@@ -6,6 +6,7 @@ import logging
 import numpy as np
 import pytest
 from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityObservationException
+from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from PIL import Image
 from raw_player import events, write_player
 
@@ -97,6 +98,17 @@ def test_a_picture_that_is_cut_is_one_sentence(tmp_path, free_port):
     with pytest.raises(UnityObservationException, match="sent a picture that can't be read"):
         environment.reset()
     environment.close()
+
+
+def test_statistics_that_nobody_asked_for_are_nothing_to_warn_of(open_corridor, caplog):
+    parameters = EnvironmentParametersChannel()
+    parameters.set_float_parameter("max_episode_steps", 3.0)
+    environment = open_corridor(side_channels=[parameters])
+    environment.reset()
+    for _ in range(3):
+        environment.step()
+    assert len(environment.get_steps("Corridor?team=0")[1]) == 1
+    assert "Unknown side channel" not in caplog.text
 
 
 @pytest.mark.parametrize("graphics", [False, True])

@@ -52,6 +52,15 @@ def test_an_ended_slot_shows_the_next_episode_and_its_info_the_last():
     assert infos[1] == {}
 
 
+def test_a_closed_environment_says_so_at_once():
+    env, _ = slots(({1: 0, 2: 0}, {}))
+    env.close()
+    with pytest.raises(TrainerError, match="The environment is closed"):
+        act(env, 0, 0)
+    with pytest.raises(TrainerError, match="The environment is closed"):
+        env.reset()
+
+
 def test_slots_have_what_sb3_asks_for_and_nothing_else():
     env, environment = slots(({1: 0, 2: 0}, {}))
     assert [env.has_attr(name) for name in ("render_mode", "action_space", "no_such_attribute")] == [True, True, False]
@@ -258,9 +267,9 @@ def test_our_player_in_slots_as_in_process_bit_for_bit(open_corridor, timing):
                 ended += 1
                 assert np.array_equal(infos[slot]["terminal_observation"], observation)
                 assert infos[slot]["is_success"] == info["is_success"]
-                expected = {f"Corridor/{name}": np.float32(value) for name, value in info["statistics"].items()}
+                expected = {name: np.float32(value) for name, value in info["statistics"].items()}
                 assert infos[slot]["statistics"] == expected
-                assert infos[slot]["episode"]["l"] == info["statistics"]["Episode Length"] - unseen[slot]
+                assert infos[slot]["episode"]["l"] == info["statistics"]["Corridor/Episode Length"] - unseen[slot]
                 unseen[slot] = 0
                 observation, _ = each.reset()
             assert np.array_equal(observations[slot], observation)

@@ -9,6 +9,7 @@ from typing import Any
 
 from mlagents_envs.exception import UnityException, UnityTimeOutException, UnityWorkerInUseException
 from mlagents_envs.side_channel.side_channel import SideChannel
+from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from corridor_server.shared.addresses import LOOPBACK, PORTS, WILDCARDS, authority, is_loopback
@@ -27,7 +28,7 @@ from trainer.players.location import BUILTIN, can_be_launched, check_connection,
 from trainer.players.scene import Scene
 from trainer.players.settings import channels, tell_corridor
 from trainer.players.several import OpenPlayer, Players
-from trainer.players.statistics_channel import Statistics
+from trainer.players.statistics_channel import NoStatistics, Statistics
 from trainer.players.trained import EpisodeStatistics, TrainedSlots
 from trainer.players.vec_env import action_space
 from trainer.seeds import player_seed
@@ -86,11 +87,14 @@ def open_environment(
     port += number
     if PORTS.read(port, whole=True) is None:
         raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
+    given = side_channels or []
     options: dict[str, Any] = {
         "seed": seed,
         "num_areas": num_areas,
         "timeout_wait": timeout_wait,
-        "side_channels": side_channels,
+        "side_channels": given
+        if any(isinstance(each, StatsSideChannel) for each in given)
+        else [*given, NoStatistics()],
         "additional_args": list(env_args),
         "graphics": graphics,
     }
@@ -343,7 +347,7 @@ def _one_area(config: RunConfig, environment: Environment, statistics: Statistic
         wrapper = UnityToGymWrapper(environment, action_space_seed=config.seed)
     except UnityGymException as error:
         behavior, _ = only_behavior(environment)  # which knows better what a scene has to change
-        agents = max(map(len, environment.get_steps(behavior)))
+        agents = max(map(len, environment.get_steps(behavior)))  # its last, though the wrapper has closed it
         if agents > 1:
             raise TrainerError(
                 f"The player has {agents} agents, but preset {config.preset} trains one, through UnityToGymWrapper; "

@@ -17,3 +17,10 @@ class Statistics(StatsSideChannel):  # type: ignore[misc]  # mlagents_envs has n
         """
         name, value, aggregation = read_statistic(msg.get_raw_bytes())
         self.stats[name].append((value, StatsAggregationMethod(aggregation)))
+
+
+class NoStatistics(StatsSideChannel):  # type: ignore[misc]
+    """Takes statistics that nobody asked for, and keeps none, where ``mlagents_envs`` would warn of every message."""
+
+    def on_message_received(self, msg: IncomingMessage) -> None:
+        """Forgets a statistic."""
