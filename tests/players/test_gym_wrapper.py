@@ -81,13 +81,23 @@ def test_branches_are_multi_discrete_or_flattened():
     flat.reset()
     flat.step(5)
     assert environment.sent[0].discrete.tolist() == [[1, 2]]
+    for action in (6, -1, "a", None):
+        with pytest.raises(UnityGymException, match="0 to 5 was expected|numbers of shape"):
+            flat.step(action)
 
 
 def test_a_visual_observation_comes_before_the_vector_and_alone():
     env, _ = wrap(shapes=((3,), (4, 5, 3)))
     observation, _ = env.reset()
     assert observation.shape == (4, 5, 3)
-    assert np.array_equal(env.render(), observation)
+    assert (env.render() == 255).all()
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 5])
+def test_a_picture_of_any_channels_is_drawn_in_three(channels):
+    env, _ = wrap(shapes=((4, 6, channels),))
+    env.reset()
+    assert env.render().shape == (4, 6, 3)
 
 
 def test_all_observations_are_a_tuple_with_the_vectors_last():
@@ -116,12 +126,14 @@ def test_a_buffer_alone_is_the_observation():
     assert env.observation_space.contains(observation)
 
 
-def test_uint8_visual_scales_pixels():
-    env, _ = wrap(shapes=((4, 5, 3),), uint8_visual=True)
+def test_uint8_visual_scales_pixels_and_nothing_else():
+    env, _ = wrap(ONE, shapes=((4, 5, 3),), uint8_visual=True)
     observation, _ = env.reset()
     assert observation.dtype == np.uint8
     assert (observation == 255).all()
     assert env.observation_space == spaces.Box(0, 255, (4, 5, 3), np.uint8)
+    with pytest.raises(UnityGymException, match="values from 0 to 1.01, but for uint8_visual 0 to 1 were expected"):
+        env.reset()
 
 
 def test_the_action_space_is_seeded():
@@ -133,6 +145,7 @@ def test_several_agents_are_refused():
     environment = Scripted(spec([(3,)], CONTINUOUS), [({1: 0.0, 2: 0.0}, {})])
     with pytest.raises(UnityGymException, match="has 2 agents"):
         UnityToGymWrapper(environment)
+    assert environment.closed
 
 
 def test_several_agents_that_take_turns_are_refused():
@@ -234,19 +247,21 @@ def test_closing_closes_the_environment():
     env.close()
     assert environment.closed
     env.close()  # has no effect
+    with pytest.raises(UnityGymException, match="The environment is closed"):
+        env.step([0.0, 0.0])
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_our_player_wrapped_passes_gymnasiums_and_sb3s_checks(open_corridor):
     """A player is seeded at launch, so reset(seed) can't bring an episode back, and the environment says so."""
     env = UnityToGymWrapper(open_corridor())
-    check_env(env, skip_close_check=True, skip_render_check=True)  # which make another environment
     check_sb3_env(env)
     env.reset(seed=3)
     assert env.np_random_seed == 3
     observation, _ = env.reset()
     assert env.observation_space.contains(observation)
     assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    check_env(env)  # closes it
 
 
 def test_through_the_wrapper_as_in_process_bit_for_bit(open_corridor):

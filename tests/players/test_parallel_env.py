@@ -10,7 +10,8 @@ import pytest
 from conftest import BIN
 from gymnasium import spaces
 from mlagents_envs.base_env import ActionSpec
-from pettingzoo.test import parallel_api_test
+from pettingzoo.test import api_test, parallel_api_test
+from pettingzoo.utils.conversions import parallel_to_aec
 from scripted import Scripted, spec
 from simulations.zoo import SEED, served
 
@@ -66,6 +67,28 @@ def test_agents_are_those_in_process(module, options, free_port, tmp_path):
 def parallel(*messages, actions: ActionSpec = ActionSpec.create_continuous(1), shapes=((1,),), **options):  # noqa: B008
     environment = Scripted(spec(list(shapes), actions), list(messages), **options)
     return UnityParallelEnv(environment), environment
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of what the protocol carries no bounds
+@pytest.mark.parametrize("actions", [ActionSpec.create_discrete((2, 3)), ActionSpec(2, (3, 4))])
+def test_masks_are_what_the_action_space_samples_with_as_pettingzoos_test_for_agents_in_turns_does(actions):
+    env, _ = parallel(*[({1: 0, 2: 0}, {})] * 400, actions=actions, forbids=lambda *_: first_forbidden(actions))
+    api_test(parallel_to_aec(env), num_cycles=50)
+    _, infos = env.reset()
+    for _ in range(20):
+        choices = env.action_space("Scripted_0").sample(infos["Scripted_0"]["action_mask"])
+        assert np.all(choices[1] if actions.continuous_size else choices)
+
+
+def first_forbidden(actions: ActionSpec) -> list[list[bool]]:
+    return [[choice == 0 for choice in range(size)] for size in actions.discrete_branches]
+
+
+def test_an_environment_that_is_refused_is_closed():
+    environment = Scripted(spec([(1,)], ActionSpec(0, ())), [({1: 0}, {})])
+    with pytest.raises(TrainerError, match="has no action"):
+        UnityParallelEnv(environment)
+    assert environment.closed
 
 
 def act(env: UnityParallelEnv, **actions):
@@ -179,8 +202,8 @@ def test_masks_are_in_infos_and_a_repeated_choice_keeps_to_them():
         forbids=lambda agent, message: [[False, message == 1], [True, False, False]],
     )  # fmt: skip
     _, infos = env.reset()
-    assert infos["Scripted_0"]["action_mask"].tolist() == [1, 1, 0, 1, 1]
-    assert infos["Scripted_0"]["action_mask"].dtype == np.int8
+    assert [branch.tolist() for branch in infos["Scripted_0"]["action_mask"]] == [[1, 1], [0, 1, 1]]
+    assert {branch.dtype for branch in infos["Scripted_0"]["action_mask"]} == {np.dtype(np.int8)}
     env.step({"Scripted_0": np.array([1, 2]), "Scripted_1": np.array([1, 0])})
     assert environment.sent[0].discrete.tolist() == [[1, 2], [1, 0]], "what is chosen is sent as it is"
     assert environment.sent[1].discrete.tolist() == [[0, 2]]
@@ -207,9 +230,19 @@ def test_what_cant_be_played_is_one_sentence():
     env, _ = parallel(({1: 0, 2: 0}, {}), *[({1: 0.0}, {})] * MESSAGES_WITHOUT_DECISION)
     with pytest.raises(TrainerError, match="Scripted_1 has no action, but one for each of Scripted_0, Scripted_1"):
         act(env, Scripted_0=0)
+    for actions in (None, "a"):
+        with pytest.raises(TrainerError, match="but a dict of one for Scripted_0, Scripted_1 each was expected"):
+            env.step(actions)
+    with pytest.raises(TrainerError, match="Scripted_0 has no action"):
+        env.step({"Scripted_0": None, "Scripted_1": [0.0]})
+    with pytest.raises(TrainerError, match="Agent Scripted_1: The action is 'a', but numbers of shape"):
+        env.step({"Scripted_0": [0.0], "Scripted_1": "a"})
     with pytest.raises(TrainerError, match="The action of Scripted_1 is .nan., but finite numbers"):
         act(env, Scripted_0=0, Scripted_1=float("nan"))
     with pytest.raises(TrainerError, match="Scripted_1 neither asked for a decision nor ended in 1000 messages"):
+        act(env, Scripted_0=0, Scripted_1=0)
+    env.close()
+    with pytest.raises(TrainerError, match="The environment is closed"):
         act(env, Scripted_0=0, Scripted_1=0)
 
 

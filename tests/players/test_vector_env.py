@@ -109,15 +109,28 @@ def test_all_kinds_of_observations_and_actions():
     infos = env.step((numbers, choices))[4]
     assert np.array_equal(environment.sent[0].continuous, numbers)
     assert np.array_equal(environment.sent[0].discrete, choices)
-    assert infos["action_mask"].tolist() == [[1] * 7] * 2
+    assert isinstance(env.single_action_space.sample(infos["action_mask"][1]), tuple)
+    assert [branch.tolist() for branch in infos["action_mask"][1][1]] == [[1] * 3, [1] * 4]
 
 
 def test_a_reset_is_of_all_agents_or_of_none():
     env, environment, _ = vector(({1: 0, 2: 0}, {}), ({1: 0, 2: 0}, {}))
     env.reset(seed=3, options={"reset_mask": np.array([True, True])})
     assert env.np_random_seed == 3
-    with pytest.raises(TrainerError, match="reset_mask is .* but True for every agent"):
-        env.reset(options={"reset_mask": np.array([True, False])})
+    for mask in (np.array([True, False]), np.array([True] * 3), np.ones(2), [True, True], "x", None):
+        with pytest.raises(TrainerError, match="reset_mask is .* but an array of 2 bools, True for every agent"):
+            env.reset(options={"reset_mask": mask})
+    with pytest.raises(TrainerError, match="options is 'x', but a dict or None was expected"):
+        env.reset(options="x")
     env.close()
     assert environment.closed
     env.close()  # has no effect
+    with pytest.raises(TrainerError, match="The environment is closed"):
+        env.step(np.zeros((2, 1), np.float32))
+
+
+def test_an_environment_that_is_refused_is_closed():
+    environment = Scripted(spec([(1,)], ActionSpec(0, ())), [({1: 0}, {})])
+    with pytest.raises(TrainerError, match="has no action"):
+        UnityVectorEnv(environment)
+    assert environment.closed

@@ -1,6 +1,7 @@
 """Environments of others behind ``corridor-server``, wrapped, and trained on with what Stable-Baselines3 has."""
 
 import re
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,17 @@ import numpy as np
 import pytest
 from conftest import BIN
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
 from minigrid.wrappers import ImgObsWrapper
 from sb3_contrib import MaskablePPO
 from simulations.zoo import SEED, served
 from stable_baselines3 import PPO
 
-from trainer.players.gym_wrapper import UnityToGymWrapper
+from trainer.errors import TrainerError
+from trainer.players.gym_wrapper import UnityGymException, UnityToGymWrapper
+from trainer.players.parallel_env import UnityParallelEnv
 from trainer.players.vec_env import UnityVecEnv
+from trainer.players.vector_env import UnityVectorEnv
 
 PLATFORM = ("--gym", "gym_platform:Platform-v0")
 MEMORY = ("--gym", "minigrid:MiniGrid-MemoryS7-v0", "--wrapper", "minigrid.wrappers:ImgObsWrapper")
@@ -85,6 +90,48 @@ def test_pictures_are_those_in_process_with_their_channels_last(free_port, tmp_p
         for _ in range(20):
             assert np.array_equal(env.step(2)[0], oracle.step(2)[0])
             assert env.observation_space == spaces.Box(0, 255, (7, 7, 3), np.uint8)
+
+
+PICTURES = """
+import gymnasium
+import numpy as np
+
+class Pictures(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-5, 5, (8, 6, 3), np.float32)
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        return np.linspace(-5, 5, 144, dtype=np.float32).reshape(8, 6, 3), {}
+
+def register_envs():
+    gymnasium.register("Pictures-v0", Pictures)
+"""
+
+
+@pytest.mark.parametrize("wrap", [UnityToGymWrapper, UnityVecEnv, UnityVectorEnv, UnityParallelEnv])
+def test_pictures_of_any_floats_lie_in_the_declared_space(wrap, free_port, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pictures.py").write_text(PICTURES)
+    with served(free_port, tmp_path, "--gym", "pictures:Pictures-v0") as environment:
+        env = wrap(environment)
+        observation = env.reset() if wrap is UnityVecEnv else env.reset()[0]
+        space = env.observation_space
+        if wrap is UnityVecEnv:
+            space = batch_space(space, 1)
+        elif wrap is UnityParallelEnv:
+            space, observation = space("Pictures-v0_0"), observation["Pictures-v0_0"]
+        assert space.contains(observation)
+        picture = observation if wrap is UnityToGymWrapper else observation["obs_0"]
+        assert (picture.min(), picture.max()) == (-5, 5)
+
+
+@pytest.mark.parametrize("wrap", [UnityToGymWrapper, UnityVecEnv, UnityVectorEnv])
+def test_an_environment_that_is_refused_leaves_its_port(wrap, free_port, tmp_path):
+    with served(free_port, tmp_path, "--pettingzoo", "mpe2.simple_tag_v3") as environment:
+        with pytest.raises((TrainerError, UnityGymException), match="has 2 behaviors"):
+            wrap(environment)
+        assert not environment.is_open
+        socket.create_server(("127.0.0.1", free_port)).close()
 
 
 def test_both_kinds_of_actions_reach_platform(free_port, tmp_path):

@@ -31,7 +31,8 @@ def served(port: int, folder: Path, *options: str, num_areas: int = 1, seed: int
     try:
         yield environment
     finally:
-        environment.close()
+        if environment.is_open:
+            environment.close()
 
 
 def random_actions(rng: np.random.Generator, spec: Any, steps: DecisionSteps) -> ActionTuple:

@@ -1,6 +1,6 @@
 """A behavior's observations and actions as Gymnasium's spaces, for every wrapper of an ML-Agents environment alike."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,12 @@ def in_axes(array: NDArray[Any], axes: tuple[int, int, int]) -> NDArray[Any]:
     return array.transpose(0, *(axis + 1 for axis in axes))
 
 
+def picture_box(shape: tuple[int, ...], is_compressed: bool) -> spaces.Box:
+    """Where a picture's values lie: bytes of a PNG file become floats from 0 to 1, others are what a player likes."""
+    low, high = (0.0, 1.0) if is_compressed else (-np.inf, np.inf)
+    return spaces.Box(low, high, shape, np.float32)
+
+
 def sees_vectors(spec: BehaviorSpec) -> bool:
     """Whether all observations are vectors, and there is one."""
     shapes = [tuple(each.shape) for each in spec.observation_specs]
@@ -58,16 +64,18 @@ class ObservationLayout:
 
     Vectors alone are one Box, one after another. Every other behavior has a Dict of all its observations, ``obs_0``,
     ``obs_1``, ... in their order: a vector (size,), a buffer of vectors (most, size), or a picture, all float32.
+    Compressed pictures are from 0 to 1; nothing else has bounds that the protocol tells.
 
     Args:
         spec: The behavior's.
+        compressed: Which observations are compressed pictures.
         channels_first: Give pictures as (channels, height, width) instead of (height, width, channels).
 
     Raises:
         TrainerError: The behavior observes nothing.
     """
 
-    def __init__(self, spec: BehaviorSpec, channels_first: bool = False) -> None:
+    def __init__(self, spec: BehaviorSpec, compressed: Collection[int] = (), channels_first: bool = False) -> None:
         if not spec.observation_specs:
             raise TrainerError("The behavior has no observation, but one or more were expected; add a sensor.")
         self._one_vector = sees_vectors(spec)
@@ -81,7 +89,7 @@ class ObservationLayout:
             shape = tuple(each.shape)
             if len(shape) == 3:
                 self._axes[index] = axes = picture_axes(each, channels_first)
-                boxes.append(spaces.Box(0.0, 1.0, tuple(shape[axis] for axis in axes), np.float32))
+                boxes.append(picture_box(tuple(shape[axis] for axis in axes), index in compressed))
             else:
                 boxes.append(spaces.Box(-np.inf, np.inf, shape, np.float32))
         self.space = spaces.Dict({f"obs_{index}": box for index, box in enumerate(boxes)})
@@ -160,15 +168,12 @@ def _rows(given: Any, count: int, size: int) -> NDArray[Any]:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
         array = np.empty(0, object)
+    expected = (size,) if count == 1 else (count, size)
     if array.dtype.kind not in "biuf":
-        raise TrainerError(
-            f"The action is {shown(given)}, but {size} numbers for each of {count} agents were expected."
-        )
+        raise TrainerError(f"The action is {shown(given)}, but numbers of shape {expected} were expected.")
     flat = array.ndim < 2 and array.size == count * size and 1 in (count, size)
     if array.shape != (count, size) and not flat:
-        raise TrainerError(
-            f"The actions have shape {array.shape}, but {(count, size)} was expected, a row for each agent."
-        )
+        raise TrainerError(f"The action has shape {array.shape}, but numbers of shape {expected} were expected.")
     return array.reshape(count, size)
 
 
@@ -195,6 +200,23 @@ def allowed_choices(spec: ActionSpec, decision: DecisionSteps) -> NDArray[np.boo
     if not decision.action_mask:  # None, or an empty list where no agent has a mask
         return np.ones((len(decision), sum(spec.discrete_branches)), np.bool_)
     return ~np.concatenate(decision.action_mask, axis=1).astype(np.bool_, copy=False)
+
+
+def action_mask(spec: ActionSpec, allowed: NDArray[np.bool_]) -> Any:
+    """What one agent may choose, in the form that its action space's ``sample`` takes as ``mask``.
+
+    Args:
+        spec: The behavior's, with discrete actions.
+        allowed: A row of ``allowed_choices``.
+
+    Returns:
+        An int8 array for Discrete, 1 for what is allowed; a tuple of one for each branch for MultiDiscrete; with
+        continuous actions beside them, a tuple of None and that tuple.
+    """
+    branches = tuple(np.split(allowed.astype(np.int8), np.cumsum(spec.discrete_branches)[:-1]))
+    if not spec.is_discrete():
+        return None, branches
+    return branches[0] if len(branches) == 1 else branches
 
 
 def all_rewards(steps: DecisionSteps | TerminalSteps) -> NDArray[np.float32]:

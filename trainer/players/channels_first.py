@@ -43,6 +43,17 @@ def channels_last(
     return {name: _turned(spec, [at for of, at in turned if of == name]) for name, spec in specs.items()}, turned
 
 
+def compressed_in(agents: Mapping[str, Any]) -> set[tuple[str, int]]:
+    """Which observations in a message's ``agentInfos`` are compressed pictures: (behavior, index) each."""
+    return {
+        (behavior, index)
+        for behavior, infos in agents.items()
+        if infos.value
+        for index, observation in enumerate(infos.value[0].observations)
+        if observation.compression_type == PNG
+    }
+
+
 def _is_channels_first(observation: Any) -> bool:
     """Whether a compressed picture's height and width are the last two of its shape, and not the first two."""
     if observation.compression_type != PNG or len(observation.shape) != 3:

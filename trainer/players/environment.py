@@ -32,7 +32,7 @@ from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.errors import TrainerError
 from trainer.players import steps as mlagents_steps
 from trainer.players.announcements import check_behaviors
-from trainer.players.channels_first import channels_last
+from trainer.players.channels_first import channels_last, compressed_in
 from trainer.players.communicator import ExchangeCommunicator, parse
 from trainer.players.failures import FAILURES, last_lines
 
@@ -59,6 +59,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     Attributes:
         exchange_seconds: Time spent in ``send`` and ``receive``, which is most of ``step``: from actions to
             observations, encoding, waiting and decoding.
+        compressed: Which observations came as compressed pictures, (behavior, index) each.
 
     Raises:
         TrainerError: The seed is none that the protocol carries; nothing was started.
@@ -83,6 +84,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
         self.exchange_seconds = 0.0
         self._log = log
         self._in_step = False  # from a step's first half to the end of its second
+        self.compressed: set[tuple[str, int]] = set()
         self._undecided = 0
         self._rows: dict[str, AgentRows] | None = None
         worker_id = 0 if file_name is None else number  # mlagents_envs waits for players as worker 0 only
@@ -131,6 +133,7 @@ class Environment(UnityEnvironment):  # type: ignore[misc]  # mlagents_envs has 
     def _update_behavior_specs(self, output: Any) -> None:
         check_behaviors(output, self._env_specs)
         super()._update_behavior_specs(output)
+        self.compressed |= compressed_in(output.rl_output.agentInfos)
 
     def _update_state(self, output: Any) -> None:
         mlagents_steps.check_counts(output, self._env_specs)

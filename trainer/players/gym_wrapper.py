@@ -24,9 +24,13 @@ from trainer.players.behavior_spaces import (
     allowed_choices,
     in_axes,
     picture_axes,
+    picture_box,
 )
+from trainer.players.owned import CLOSED, closed_if_refused, compressed_pictures
 
 logger = get_logger(__name__)
+
+DECISIONS_PER_SECOND = 10  # of a Unity agent with the default settings: every 5 steps of 0.02 s
 
 Observation = NDArray[Any] | tuple[NDArray[Any], ...]
 
@@ -45,16 +49,20 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
     The observation is the first visual observation if there is one, else all vector observations in one array, else the
     first buffer of vectors, (most, size). With ``allow_multiple_obs`` it is a tuple of all: every visual observation,
     every buffer and, last, the vector. Pictures are (height, width, channels), whichever order a player says that it
-    has; one that says none has them in that order.
+    has; one that says none has them in that order. Compressed ones (PNG) are from 0 to 1, as all of Unity's cameras
+    are; of others, which are floats as the player has them, the space declares no bounds, as the protocol tells none.
+
+    With a picture ``render_mode`` is ``rgb_array``; without one, nothing can be rendered.
 
     A reward is the agent's own with its group's added.
 
     ``terminated`` and ``truncated`` are never both true: an episode that was interrupted (``max_step_reached``) is
     truncated, every other end is terminated. Each info holds the raw ``DecisionSteps`` or ``TerminalSteps`` as
     ``step``. ``spec`` says that it is nondeterministic: a player takes its seed when it is opened, and no other later.
+    There is one player: ``spec.make()`` gives this environment itself, for Gymnasium's ``check_env``, which closes it.
 
     Args:
-        unity_env: The environment; closing the wrapper closes it.
+        unity_env: The environment; closing the wrapper closes it, and so does a refusal of it.
         uint8_visual: Give visual observations as uint8 from 0 to 255 instead of float from 0 to 1.
         flatten_branched: Make branched discrete actions one Discrete space.
         allow_multiple_obs: Give all observations, as a tuple.
@@ -64,7 +72,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         UnityGymException: Several behaviors or agents, no observation, or no action.
     """
 
-    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - Gymnasium's own declaration
+    metadata = {"render_modes": ["rgb_array"], "render_fps": DECISIONS_PER_SECOND}  # noqa: RUF012 - Gymnasium's own
 
     def __init__(
         self,
@@ -74,9 +82,15 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         allow_multiple_obs: bool = False,
         action_space_seed: int | None = None,
     ) -> None:
-        self.spec = EnvSpec("UnityToGymWrapper-v0", nondeterministic=True)
+        self.spec = EnvSpec("UnityToGymWrapper-v0", entry_point=lambda **_: self, nondeterministic=True)
         self._closed = False
         self._env = unity_env
+        with closed_if_refused(unity_env):
+            self._begin(uint8_visual, flatten_branched, allow_multiple_obs)
+        if action_space_seed is not None:
+            self.action_space.seed(action_space_seed)
+
+    def _begin(self, uint8_visual: bool, flatten_branched: bool, allow_multiple_obs: bool) -> None:
         self._env.reset()  # behaviors are only known once the player has sent agents
         self._check_behaviors()
         self.name = next(iter(self._env.behavior_specs))
@@ -85,7 +99,10 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         self._pictures = {i: picture_axes(each) for i, each in enumerate(observed) if len(each.shape) == 3}
         self._buffers = [i for i, each in enumerate(observed) if len(each.shape) == 2]
         self._vectors = [i for i, each in enumerate(observed) if len(each.shape) == 1]
+        self._compressed = compressed_pictures(self._env, self.name)
         self.render_mode = "rgb_array" if self._pictures else None
+        if not self._pictures:
+            self.metadata = {"render_modes": []}
         kinds = len(self._pictures) + len(self._buffers) + bool(self._vectors)
         if not kinds:
             raise UnityGymException("The environment provides no observation, but one or more were expected.")
@@ -99,13 +116,11 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             )
         self._uint8_visual = uint8_visual
         self._allow_multiple_obs = allow_multiple_obs
-        self._image: NDArray[Any] | None = None
+        self._image: NDArray[np.float32] | None = None
         self._flattened: list[tuple[int, ...]] | None = None
         self._needs_reset = False
         self._last_decision: DecisionSteps | None = None  # what the running episode's agent asked with last
         self.action_space = self._make_action_space(self.group_spec.action_spec, flatten_branched)
-        if action_space_seed is not None:
-            self.action_space.seed(action_space_seed)
         self.observation_space = self._make_observation_space()
         # The reset above already began an episode, which the first reset() gives out.
         self._first_decision: DecisionSteps | None = self._decision()
@@ -113,7 +128,12 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. A player takes its seed at launch: ``seed`` reaches only this wrapper's own generator."""
+        """Begins an episode. A player takes its seed at launch: ``seed`` reaches only this wrapper's own generator.
+
+        Raises:
+            UnityGymException: The environment is closed.
+        """
+        self._check_open()
         super().reset(seed=seed)
         if self._first_decision is None:
             self._env.reset()
@@ -127,8 +147,10 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
         """Gives the agent an action and runs the player until it asks for the next, or its episode ends.
 
         Raises:
-            UnityGymException: The episode is over, and reset() has not been called since; or the action is none.
+            UnityGymException: The episode is over, and reset() has not been called since; the action is none that can
+                be; or the environment is closed.
         """
+        self._check_open()
         if self._needs_reset:
             raise UnityGymException("The episode is over; call reset() before step().")
         self._first_decision = None
@@ -171,9 +193,15 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             raise AttributeError("The behavior has no discrete actions, which alone have masks.")
         return self._mask
 
-    def render(self) -> NDArray[Any] | None:
-        """The latest first visual observation, as the agent got it; None without one. Draws no new frame."""
-        return self._image
+    def render(self) -> NDArray[np.uint8] | None:
+        """The latest first visual observation, (height, width, 3) uint8; None without one. Draws no new frame.
+
+        Values under 0 and over 1 are cut off. Of more channels it is the first three, of fewer the first, as grey.
+        """
+        if self._image is None:
+            return None
+        channels = [0, 1, 2] if self._image.shape[-1] >= 3 else [0, 0, 0]
+        return _as_bytes(np.clip(self._image[..., channels], 0.0, 1.0))
 
     def close(self) -> None:
         """Closes the Unity environment; a second time has no effect."""
@@ -214,17 +242,15 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
 
     def _observation(self, steps: DecisionSteps | TerminalSteps, row: int = 0) -> Observation:
         self._last_decision = steps if isinstance(steps, DecisionSteps) else None
-        parts = [self._pixels(in_axes(steps.obs[i], axes)[row]) for i, axes in self._pictures.items()]
-        if parts:
-            self._image = parts[0]
+        pictures = [in_axes(steps.obs[i], axes)[row] for i, axes in self._pictures.items()]
+        if pictures:
+            self._image = pictures[0]
+        parts: list[NDArray[Any]] = [_as_bytes(each) for each in pictures] if self._uint8_visual else [*pictures]
         if self._allow_multiple_obs or not self._vectors:
             parts += [steps.obs[i][row] for i in self._buffers]
         if self._vectors:
             parts.append(np.concatenate([steps.obs[i][row] for i in self._vectors]))
         return tuple(parts) if self._allow_multiple_obs else parts[0]
-
-    def _pixels(self, image: NDArray[np.float32]) -> NDArray[Any]:
-        return (255.0 * image).astype(np.uint8) if self._uint8_visual else image
 
     def _make_observation_space(self) -> spaces.Space[Any]:
         shapes = [tuple(each.shape) for each in self.group_spec.observation_specs]
@@ -234,7 +260,7 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             if self._uint8_visual:
                 each.append(spaces.Box(0, 255, shape, np.uint8))
             else:
-                each.append(spaces.Box(0.0, 1.0, shape, np.float32))
+                each.append(picture_box(shape, i in self._compressed))
         if self._allow_multiple_obs or not self._vectors:
             each += [spaces.Box(-np.inf, np.inf, shapes[i], np.float32) for i in self._buffers]
         if self._vectors:
@@ -251,6 +277,10 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
             return action_space(spec)
         except TrainerError as error:
             raise UnityGymException(str(error)) from error
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise UnityGymException(CLOSED)
 
     def _named(self) -> str:
         return ", ".join(f"{each.name} {tuple(each.shape)}" for each in self.group_spec.observation_specs)
@@ -269,3 +299,17 @@ class UnityToGymWrapper(gymnasium.Env[Observation, Any]):
                 f"The environment has {count} agents, but a Gymnasium environment has one; "
                 "ask the player for one area, or take UnityVecEnv."
             )
+
+
+def _as_bytes(picture: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """A picture from 0 to 1 with bytes.
+
+    Raises:
+        UnityGymException: It has other values.
+    """
+    low, high = picture.min(initial=0.0), picture.max(initial=1.0)
+    if low < 0.0 or high > 1.0:
+        raise UnityGymException(
+            f"A picture has values from {low:g} to {high:g}, but for uint8_visual 0 to 1 were expected; leave it out."
+        )
+    return (255.0 * picture).astype(np.uint8)

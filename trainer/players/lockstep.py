@@ -15,6 +15,7 @@ from trainer.players.behavior import only_behavior
 from trainer.players.behavior_spaces import ObservationLayout, all_rewards, allowed_choices
 from trainer.players.environment import in_two_halves
 from trainer.players.failures import BadNumbers
+from trainer.players.owned import compressed_pictures
 from trainer.players.unsupported import refuse_other_behaviors
 
 
@@ -66,7 +67,7 @@ class Lockstep:
         self._step = in_two_halves(environment)
         self._statistics = statistics
         self.behavior, self.spec = only_behavior(environment)
-        self.layout = ObservationLayout(self.spec, channels_first)
+        self.layout = ObservationLayout(self.spec, compressed_pictures(environment, self.behavior), channels_first)
         self._fresh = True  # only_behavior's reset began an episode that the first reset() gives out
         self._dropped = 0  # agents that ended before their first decision, since statistics were last attributed
         self.decision: DecisionSteps = self._first_decisions()

@@ -11,16 +11,19 @@ from gymnasium import spaces
 from mlagents_envs.base_env import ActionTuple, BaseEnv, BehaviorSpec, DecisionSteps, TerminalSteps
 from numpy.typing import NDArray
 
+from corridor_server.shared.given import shown
 from corridor_server.shared.patience import MESSAGES_WITHOUT_DECISION
 from trainer.errors import TrainerError
 from trainer.players.behavior_spaces import (
     Observation,
     ObservationLayout,
     action_arrays,
+    action_mask,
     action_space,
     all_rewards,
     allowed_choices,
 )
+from trainer.players.owned import CLOSED, closed_if_refused, compressed_pictures
 
 try:
     from pettingzoo import ParallelEnv
@@ -116,13 +119,13 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
     showed.
 
     Vector observations alone are one Box, one after another; any others a Dict of all, ``obs_0``, ``obs_1``, ..., all
-    float32, pictures (height, width, channels) from 0 to 1. Actions are a Box, Discrete, MultiDiscrete, or, of both
-    kinds, Tuple((Box, MultiDiscrete)); with discrete ones, an agent's info has ``action_mask``, (all branches' choices
-    one after another,) int8, 1 for what is allowed. A reward is the agent's own with its group's added. An interrupted
-    episode is truncated, every other end is terminated; none is both.
+    float32, pictures (height, width, channels), compressed ones from 0 to 1. Actions are a Box, Discrete,
+    MultiDiscrete, or, of both kinds, Tuple((Box, MultiDiscrete)); with discrete ones, an agent's info has
+    ``action_mask``, int8, 1 for what is allowed, as its action space's ``sample`` takes it. A reward is the agent's own
+    with its group's added. An interrupted episode is truncated, every other end is terminated; none is both.
 
     Args:
-        environment: The environment; closing this closes it.
+        environment: The environment; closing this closes it, and so does a refusal of it.
 
     Raises:
         TrainerError: A behavior observes or does nothing.
@@ -139,7 +142,8 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
         self._behaviors: dict[str, str] = {}  # of every name
         self._spaces: dict[str, tuple[spaces.Space[Any], spaces.Space[Any]]] = {}
         self._episode = _Episode()
-        self._begin()
+        with closed_if_refused(environment):
+            self._begin()
         self._fresh = True  # an episode that the first reset() gives out
 
     @property
@@ -163,12 +167,17 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begins an episode; ``seed`` and ``options`` reach nobody: a player takes its seed when it is opened."""
+        """Begins an episode; ``seed`` and ``options`` reach nobody: a player takes its seed when it is opened.
+
+        Raises:
+            TrainerError: The environment is closed.
+        """
+        self._check_open()
         if not self._fresh:
             self._begin()
         self._fresh = False
         live = {self._episode.names[key]: seen for key, seen in self._episode.live.items()}
-        return {agent: seen.observation for agent, seen in live.items()}, _infos(live)
+        return {agent: seen.observation for agent, seen in live.items()}, self._infos(live)
 
     def step(
         self, actions: Mapping[str, Any]
@@ -182,20 +191,26 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
             Observations, rewards, terminations, truncations and infos of who lived before the step, or came in it.
 
         Raises:
-            TrainerError: A live agent has no action, one is not finite, or an agent neither asks again nor ends.
+            TrainerError: A live agent has no action, or none of its space; an agent neither asks again nor ends; or the
+                environment is closed.
         """
+        self._check_open()
+        if not isinstance(actions, Mapping):
+            raise TrainerError(
+                f"The actions are {shown(actions)}, but a dict of one for {', '.join(self.agents)} each was expected."
+            )
         self._fresh = False
         episode = self._episode
         chosen = {key: self._arrays(key, actions) for key in episode.live}
         for seen in episode.live.values():
             seen.reward = 0.0
-        shown, waiting, messages = dict(episode.live), set(episode.live), 0
+        involved, waiting, messages = dict(episode.live), set(episode.live), 0
         while waiting:
             self._answer(chosen, as_they_are=messages == 0)
             self._environment.step()
             messages += 1
             came = self._take()
-            shown |= {key: episode.live[key] for key in came}
+            involved |= {key: episode.live[key] for key in came}
             waiting = {key for key in waiting if key in episode.live and key not in episode.asking}
             if came:
                 break
@@ -205,13 +220,13 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
                     f"Of the agents, {silent} neither asked for a decision nor ended in {messages} messages of the "
                     "player; look for agents that are disabled, or without a DecisionRequester."
                 )
-        named = {self._episode.names[key]: seen for key, seen in shown.items()}
+        named = {self._episode.names[key]: seen for key, seen in involved.items()}
         return (
             {agent: seen.observation for agent, seen in named.items()},
             {agent: seen.reward for agent, seen in named.items()},
             {agent: seen.terminated for agent, seen in named.items()},
             {agent: seen.truncated for agent, seen in named.items()},
-            _infos(named),
+            self._infos(named),
         )
 
     def render(self) -> None:
@@ -222,6 +237,19 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
         if not self._closed:
             self._closed = True
             self._environment.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise TrainerError(CLOSED)
+
+    def _infos(self, seen: Mapping[str, _Seen]) -> dict[str, dict[str, Any]]:
+        """The masks of those that live on, where there are any: who ended chooses no more."""
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in seen}
+        for agent, each in seen.items():
+            if len(each.allowed) and not (each.terminated or each.truncated):
+                spec = self._kinds[self._behaviors[agent]].spec.action_spec
+                infos[agent]["action_mask"] = action_mask(spec, each.allowed)
+        return infos
 
     def _begin(self) -> None:
         self._environment.reset()
@@ -235,7 +263,8 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
         episode.asking = {}
         for behavior, spec in self._environment.behavior_specs.items():
             if behavior not in self._kinds:
-                self._kinds[behavior] = _Kind(spec, ObservationLayout(spec))
+                pictures = compressed_pictures(self._environment, behavior)
+                self._kinds[behavior] = _Kind(spec, ObservationLayout(spec, pictures))
             decision, terminal = self._environment.get_steps(behavior)
             for row, number, observation, reward in self._kinds[behavior].rows(terminal):
                 episode.end(_Key(behavior, number), observation, reward, bool(terminal.interrupted[row]))
@@ -271,7 +300,7 @@ class UnityParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo has no 
     def _arrays(self, key: _Key, actions: Mapping[str, Any]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """An agent's action, in one row."""
         name = self._episode.names[key]
-        if name not in actions:
+        if actions.get(name) is None:
             raise TrainerError(
                 f"Agent {name} has no action, but one for each of {', '.join(self.agents)} was expected."
             )
@@ -310,12 +339,3 @@ def _permitted(choices: NDArray[np.int32], allowed: NDArray[np.bool_], branches:
     masks = np.split(allowed, np.cumsum(branches)[:-1]) if branches else []
     kept = [choice if mask[choice] else np.argmax(mask) for choice, mask in zip(choices[0], masks, strict=True)]
     return np.array([kept], np.int32)
-
-
-def _infos(seen: Mapping[str, _Seen]) -> dict[str, dict[str, Any]]:
-    """The masks of those that live on, where there are any: who ended chooses no more."""
-    infos: dict[str, dict[str, Any]] = {agent: {} for agent in seen}
-    for agent, each in seen.items():
-        if len(each.allowed) and not (each.terminated or each.truncated):
-            infos[agent]["action_mask"] = each.allowed.astype(np.int8)
-    return infos

@@ -15,6 +15,7 @@ from trainer.errors import TrainerError
 from trainer.players import behavior_spaces
 from trainer.players.behavior_spaces import ObservationLayout, action_arrays, sees_vectors
 from trainer.players.lockstep import Lockstep
+from trainer.players.owned import CLOSED, closed_if_refused
 from trainer.players.slots import Slots
 
 MASKS = "action_masks"  # as sb3-contrib's MaskablePPO asks for them
@@ -29,14 +30,14 @@ class UnityVecEnv(Slots):
 
     Vector observations alone are one Box, one after another. Any others are a Dict of all, ``obs_0``, ``obs_1``, ...,
     for SB3's ``MultiInputPolicy``: float32, because a byte could not hold every picture exactly; pictures are
-    (channels, height, width) from 0 to 1, and go through a convolutional network with ``normalize_images=False`` in
-    ``policy_kwargs`` (SB3's own wants 36 x 36 or more), and flat without.
+    (channels, height, width), compressed ones from 0 to 1, and go through a convolutional network with
+    ``normalize_images=False`` in ``policy_kwargs`` (SB3's own wants 36 x 36 or more), and flat without.
 
     With discrete actions, ``env_method("action_masks")`` gives each slot's mask, (all branches' choices one after
     another,) bool, True for a choice that is allowed, and ``has_attr("action_masks")`` is true.
 
     Args:
-        environment: The environment; closing this closes it.
+        environment: The environment; closing this closes it, and so does a refusal of it.
         statistics: The environment's statistics channel. Where a player sends one value per ended episode, the
             episode's info has them as ``statistics``, and ``is_success`` if the player reports success.
 
@@ -49,12 +50,19 @@ class UnityVecEnv(Slots):
 
     def __init__(self, environment: UnityEnvironment, statistics: StatsSideChannel | None = None) -> None:
         self.environment = environment
-        self.agents = Lockstep(environment, statistics, channels_first=True)
-        self._action_spec = self.agents.spec.action_spec
-        super().__init__(self.agents.count, self.agents.layout.space, action_space(self.agents.spec))
+        self._closed = False
+        with closed_if_refused(environment):
+            self.agents = Lockstep(environment, statistics, channels_first=True)
+            self._action_spec = self.agents.spec.action_spec
+            super().__init__(self.agents.count, self.agents.layout.space, action_space(self.agents.spec))
 
     def reset(self) -> VecEnvObs:
-        """Begins an episode in every slot."""
+        """Begins an episode in every slot.
+
+        Raises:
+            TrainerError: The environment is closed.
+        """
+        self._check_open()
         self.agents.reset()
         self.reset_infos = [{} for _ in range(self.num_envs)]
         return self._observations()
@@ -63,8 +71,9 @@ class UnityVecEnv(Slots):
         """Hands the actions to the player, in the order in which its agents asked.
 
         Raises:
-            TrainerError: An action is NaN or infinite.
+            TrainerError: An action is NaN or infinite, or the environment is closed.
         """
+        self._check_open()
         self.agents.send(*action_arrays(self._action_spec, actions, self.num_envs))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -104,7 +113,12 @@ class UnityVecEnv(Slots):
 
     def close(self) -> None:
         """Closes the environment; a second time has no effect."""
+        self._closed = True
         self.agents.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise TrainerError(CLOSED)
 
     def _mask(self, slot: int) -> NDArray[np.bool_]:
         mask: NDArray[np.bool_] = self.agents.allowed()[slot]
