@@ -1,18 +1,18 @@
 """The life of a player: handshake, then reset and step until the trainer has had enough (protocol.md of ML-Agents)."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from corridor_server.connection import Connection, ConnectionBroken, ConnectionFailed
 from corridor_server.decision_timing import TIMINGS, Timing
 from corridor_server.protocol import side_channels, wire
-from corridor_server.protocol.agents import Agents, Behavior
 from corridor_server.protocol.messages import API_VERSION, QUIT
 from corridor_server.protocol.side_channels import SideChannelError
 from corridor_server.protocol.visual_observations import PictureForm
 from corridor_server.shared.given import MAX_AREAS
-from corridor_server.simulations.simulation import NotRestored, Simulation, SimulationError
+from corridor_server.simulations.checked_simulation import CheckedSimulation
+from corridor_server.simulations.simulation import NotRestored, Simulation, SimulationError, blaming
 
 logger = logging.getLogger(__name__)
 
@@ -60,11 +60,11 @@ class Player:
         """Plays until the trainer ends it with QUIT or a status other than 200.
 
         Raises:
-            PlayerError: The trainer's protocol version, a message of its, or the simulation's agents can't be used; the
-            trainer was told so.
+            PlayerError: The trainer's protocol version, or a message of its, can't be used; the trainer was told so.
             ConnectionBroken: The trainer is gone.
             ConnectionFailed: There is no trainer to play with.
-            SimulationError: The simulation failed; the trainer was told that the player stops.
+            SimulationError: The simulation failed, or gave what can't be used; the trainer was told that the player
+            stops.
         """
         try:
             self._play()
@@ -110,19 +110,19 @@ class Player:
                 moment, statistics = timing.reset()
             else:
                 moment, statistics = timing.step(command.actions)
-            side_channel = side_channels.write_statistics(statistics)
             parts = [(simulation.behaviors[name], agents) for name, agents in moment.items() if len(agents)]
-            if len(parts) > 1:
-                _check_ids(parts)
             asked = {behavior.name: len(agents.deciding) for behavior, agents in parts}
+            side_channel = b""
             if state_wanted and any(asked.values()):  # it belongs to what a policy sees: a RESET before that changes it
                 state = simulation.snapshot()
-                side_channel += b"" if state is None else side_channels.write_state(state)
+                side_channel = b"" if state is None else side_channels.write_state(state)
                 state_wanted = False
             if self._refused:
                 side_channel += side_channels.message(side_channels.AREA_STATE, b"")
                 self._refused = False
-            message = wire.output(parts, side_channel, introduced, form, can.hybridActions)
+            with blaming("What the simulation gave can't be sent"):
+                side_channel = side_channels.write_statistics(statistics) + side_channel
+                message = wire.output(parts, side_channel, introduced, form, can.hybridActions)
             introduced |= asked.keys()
             reply = self._connection.exchange(message)
 
@@ -148,7 +148,7 @@ class Player:
         if not 1 <= count <= MAX_AREAS:
             raise PlayerError(f"The trainer asks for {count} areas, but 1 to {MAX_AREAS} can be served.")
         logger.info("Trainer package %s, seed %d, %d areas.", parameters.package_version, seed, count)
-        return self._make_simulation(seed, count)
+        return CheckedSimulation(lambda: self._make_simulation(seed, count))
 
     def _apply_side_channels(self, simulation: Simulation, buffer: bytes) -> bool:
         """Does what the messages say; returns whether one asks for the simulation's state."""
@@ -184,19 +184,6 @@ class Player:
             self._refused = True
         else:
             logger.info("The areas go on where a saved run left them.")
-
-
-def _check_ids(parts: Sequence[tuple[Behavior, Agents]]) -> None:
-    """Refuses an id that agents of two behaviors have: what a simulation of somebody's own can have wrong."""
-    owners: dict[int, str] = {}
-    for behavior, agents in parts:
-        mine = set(agents.ids.tolist())
-        for shared in sorted(mine & owners.keys())[:1]:
-            raise PlayerError(
-                f"The simulation has an agent {shared} of {owners[shared]} and one of {behavior.name}, but ids that "
-                "are unique over all behaviors were expected; number each behavior's after those of the one before."
-            )
-        owners |= dict.fromkeys(mine, behavior.name)
 
 
 def _wants_channels_first(package_version: str) -> bool:

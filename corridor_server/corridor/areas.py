@@ -38,6 +38,8 @@ class Areas(Simulation):
         restored: Whether a saved state was put back and has not moved since; resets keep it.
     """
 
+    is_checked = True
+
     def __init__(
         self, config: CorridorConfig, seed: int, areas: Iterable[int], camera: tuple[int, int] | None = None
     ) -> None:

@@ -124,8 +124,12 @@ class Agents:
         rewards: ArrayLike,
         masks: tuple[NDArray[np.bool_], ...] = (),
     ) -> "Agents":
-        """Agents each on its own that ask for an action."""
-        numbers = np.asarray(ids, np.int32)
+        """Agents each on its own that ask for an action.
+
+        Raises:
+            ValueError: An id is none.
+        """
+        numbers = _ids(ids)
         nobody = np.zeros(len(numbers), np.bool_)
         return cls.ungrouped(numbers, np.asarray(rewards, np.float32), nobody, nobody, observations, masks)
 
@@ -133,8 +137,12 @@ class Agents:
     def that_ended(
         cls, ids: ArrayLike, observations: tuple[NDArray[Any], ...], rewards: ArrayLike, interrupted: ArrayLike
     ) -> "Agents":
-        """Agents each on its own whose episode ended."""
-        numbers = np.asarray(ids, np.int32)
+        """Agents each on its own whose episode ended.
+
+        Raises:
+            ValueError: An id is none.
+        """
+        numbers = _ids(ids)
         done, cut = np.ones(len(numbers), np.bool_), np.asarray(interrupted, np.bool_)
         return cls.ungrouped(numbers, np.asarray(rewards, np.float32), done, cut, observations)
 
@@ -185,3 +193,15 @@ class Agents:
             self.group_rewards[rows],
             tuple(each[rows] for each in self.masks),
         )
+
+
+def _ids(given: ArrayLike) -> NDArray[np.int32]:
+    """As int32, which would make other ids of those that it can't hold."""
+    ids = np.asarray(given)
+    if ids.dtype == np.int32:
+        return ids
+    with np.errstate(invalid="ignore"):  # of NaN
+        numbers = ids.astype(np.int32)
+    for unequal in ids[numbers != ids].ravel()[:1].tolist():
+        raise ValueError(f"an agent's id is {unequal}, but a whole number from 0 to {2**31 - 1} was expected")
+    return numbers

@@ -8,9 +8,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import ActionBatch
-from corridor_server.simulations.simulation import SimulationError
-
-_MOST_CHOICES = 10_000  # numbers, or choices of all branches together
+from corridor_server.simulations.simulation import MOST_CHOICES, SimulationError
 
 Read = Callable[[ActionBatch], Any]  # the batched action that a trainer's are
 
@@ -40,10 +38,10 @@ class ActionChoices:
         self._read = self._reader(space, "the action")
         if self.continuous + len(self.branches) == 0:
             raise SimulationError(f"{owner} does nothing: an action of at least one number or choice was expected.")
-        if self.continuous + sum(self.branches) > _MOST_CHOICES:
+        if self.continuous + sum(self.branches) > MOST_CHOICES:
             raise SimulationError(
                 f"{owner} has {self.continuous} numbers and {sum(self.branches)} choices in an action, but at most "
-                f"{_MOST_CHOICES} can be carried."
+                f"{MOST_CHOICES} can be carried."
             )
 
     def read(self, actions: ActionBatch) -> Any:

@@ -285,7 +285,7 @@ class _Told(gymnasium.Wrapper[Any, Any, Any, Any]):
         """The same of a step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         check_parts(self.observation_space, observation)
-        return observation, number_of(reward), terminated, truncated, _only_mask(info)
+        return observation, number_of(reward), bool(terminated), bool(truncated), _only_mask(info)
 
 
 def _only_mask(info: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from corridor_server.shared.given import shown
 from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.declared_parameters import DeclaredParameters
 from corridor_server.simulations.environment_memory import Memory
+from corridor_server.simulations.finite_numbers import check_finite, float32
 from corridor_server.simulations.gymnasium_copies import (
     Copies,
     CopiesHere,
@@ -32,8 +33,6 @@ from corridor_server.simulations.observation_sensors import (
     WHOLE,
     ObservationSensors,
     batched,
-    check_finite,
-    float32,
 )
 from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (

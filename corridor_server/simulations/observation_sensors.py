@@ -12,11 +12,11 @@ from gymnasium.vector.utils import concatenate, create_empty_array
 from numpy.typing import NDArray
 
 from corridor_server.protocol.agents import Sensor
-from corridor_server.simulations.simulation import SimulationError
+from corridor_server.simulations.finite_numbers import check_finite, float32
+from corridor_server.simulations.simulation import MOST_NUMBERS, SimulationError
 
 ACTION_MASK = "action_mask"  # what environments call it: 1 for a choice that is allowed
 WHOLE = "observation"  # the sensor's name where there is one
-_MOST_NUMBERS = 2**22  # of one sensor: a message has 256 MiB
 _BYTE = 255
 
 Path = tuple[str | int, ...]
@@ -118,35 +118,6 @@ def check_parts(space: spaces.Space[Any], observation: Any) -> None:
                 raise ValueError(f"{_named(path)} has {number}, which {part.dtype} can't hold")
 
 
-def float32(values: NDArray[Any]) -> NDArray[np.float32]:
-    """A copy; what is too large becomes infinite, and what is too small 0, whatever an author has NumPy do then."""
-    with np.errstate(over="ignore", under="ignore"):
-        return np.array(values, np.float32)
-
-
-def check_finite(values: NDArray[Any], what: str, ids: NDArray[np.int32], given: NDArray[Any] | None = None) -> None:
-    """Refuses NaN and infinity.
-
-    Args:
-        values: A row per agent.
-        what: They are, for the error.
-        ids: The agents'.
-        given: What they were made of, number by number.
-
-    Raises:
-        SimulationError: There is one.
-    """
-    finite = np.isfinite(values)
-    if np.count_nonzero(finite) < finite.size:
-        row, *place = np.argwhere(~finite)[0].tolist()
-        where = f"[{', '.join(map(str, place))}]" if place else ""
-        number = float((values if given is None else np.reshape(given, values.shape))[row, *place])
-        expected = "numbers that float32 can hold" if np.isfinite(number) else "finite numbers"
-        raise SimulationError(
-            f"The environment gave agent {int(ids[row])} {what}{where} = {number}, but {expected} were expected."
-        )
-
-
 def _leaves(space: spaces.Space[Any], path: Path) -> Iterator[tuple[Path, spaces.Space[Any]]]:
     parts: Any = ()
     if isinstance(space, spaces.Dict):
@@ -196,8 +167,8 @@ def _part(path: Path, space: spaces.Space[Any], owner: str) -> _Part:
             read = _floats(shape)
         case _:
             raise refused("only Box, Discrete, MultiDiscrete and MultiBinary, and Dict and Tuple of them, can")
-    if not 0 < math.prod(shape) <= _MOST_NUMBERS:
-        raise refused(f"it is {math.prod(shape)} numbers, and 1 to {_MOST_NUMBERS} were expected")
+    if not 0 < math.prod(shape) <= MOST_NUMBERS:
+        raise refused(f"it is {math.prod(shape)} numbers, and 1 to {MOST_NUMBERS} were expected")
     return _Part(path, Sensor.of(name, shape), read)
 
 

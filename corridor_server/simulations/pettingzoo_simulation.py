@@ -20,7 +20,8 @@ from corridor_server.simulations.action_choices import ActionChoices
 from corridor_server.simulations.agent_areas import AgentArea, Event, ParallelArea, TurnsArea
 from corridor_server.simulations.declared_parameters import DeclaredParameters
 from corridor_server.simulations.environment_memory import Memory
-from corridor_server.simulations.observation_sensors import ObservationSensors, batched, check_finite, float32
+from corridor_server.simulations.finite_numbers import check_finite, float32
+from corridor_server.simulations.observation_sensors import ObservationSensors, batched
 from corridor_server.simulations.running_episodes import PlaysAgain, RunningEpisodes
 from corridor_server.simulations.simulation import (
     Moment,

@@ -241,6 +241,7 @@ class PlaysAgain(Simulation):
         _seeds: Of each copy's next episode; None goes on with the random numbers of the one before.
     """
 
+    is_checked = True
     _episodes: RunningEpisodes | None
     _seeds: list[int | None]
 

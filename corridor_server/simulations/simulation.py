@@ -14,6 +14,9 @@ from corridor_server.shared.given import shown
 
 logger = logging.getLogger(__name__)
 
+MOST_NUMBERS = 2**22  # of one sensor: a message has 256 MiB
+MOST_CHOICES = 10_000  # of an action: numbers, and choices of all branches together
+
 Moment = Mapping[str, Agents]
 Statistics = Mapping[str, NDArray[np.float64]]
 
@@ -51,11 +54,18 @@ def number_of(reward: object) -> float:
 
 
 @contextmanager
-def blaming(what: str) -> Iterator[None]:
-    """Says of an author's code within it that it failed, also of code that would end the process."""
+def blaming(what: str, *but: type[Exception]) -> Iterator[None]:
+    """Says of an author's code within it that it failed, also of code that would end the process.
+
+    Args:
+        what: The sentence's beginning.
+        but: What the code may raise.
+    """
     try:
         yield
     except (SimulationError, Stopped):
+        raise
+    except but:
         raise
     except BaseException as error:  # whatever an author's code raises
         raise failed(what, error) from error
@@ -84,6 +94,7 @@ class Simulation(ABC):
     Agents need not ask in step, and behaviors may come later: an agent that is in no moment is waiting or away.
     """
 
+    is_checked = False  # whether what it gives was checked; the player checks what any other gives
     restored = False  # whether it stands where a saved state was put back, and has not moved since
     acts_when_idle = True  # whether agents act with zeros when nobody decides, as Unity's; not those that take turns
 

@@ -14,12 +14,12 @@ from mlagents_envs.environment import UnityEnvironment
 from mlagents_envs.side_channel.environment_parameters_channel import EnvironmentParametersChannel
 from mlagents_envs.side_channel.stats_side_channel import StatsSideChannel
 
-from corridor_server.player import Player, PlayerError
+from corridor_server.player import Player
 from corridor_server.protocol.agents import Agents, Behavior, Sensor
 from corridor_server.protocol.messages import QUIT, RESET, UnityMessageProto
 from corridor_server.protocol.side_channels import AREA_STATE, message
 from corridor_server.protocol.trainer_messages import command, initialization
-from corridor_server.simulations.simulation import Simulation
+from corridor_server.simulations.simulation import Simulation, SimulationError
 
 BEHAVIOR = "Corridor?team=0"
 SERVER = str(BIN / "corridor-server")
@@ -198,7 +198,7 @@ class Script:
 def test_agents_of_two_behaviors_with_one_id_stop_the_player_with_a_sentence():
     script = Script(initialization(seed=1, num_areas=1), command(RESET), command(QUIT))
     said = "an agent 1 of Fox?team=0 and one of Hare?team=0, but ids that are unique over all behaviors were expected"
-    with pytest.raises(PlayerError, match=re.escape(said)):
+    with pytest.raises(SimulationError, match=re.escape(said)):
         Player(script, lambda seed, count: TwoBehaviors(1), "test").run()
     assert [told.header.status for told in script.told] == [200, 200, 400]
     script = Script(initialization(seed=1, num_areas=1), command(RESET), command(QUIT))

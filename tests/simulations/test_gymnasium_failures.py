@@ -270,3 +270,18 @@ def test_lists_and_pythons_numbers_are_observations_too(play_gymnasium):
     _, asking = answer(simulation)
     assert asking.observations[0][0].tolist() == [[0.5, 1], [1, 0]]
     assert asking.observations[1][0].tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize("over", [True, np.array([True])])
+def test_an_end_may_be_anything_that_is_true_in_any_process(over, mode, play_gymnasium):
+    class Ending(Count):
+        def step(self, action):
+            observation, reward, _, _, info = super().step(action)
+            return observation, reward, over, np.array(False), info
+
+    simulation = play_gymnasium(Ending, mode=mode)
+    simulation.reset()
+    ended, asking = answer(simulation)
+    assert ended.ids.tolist() == asking.ids.tolist() == [0, 1]
+    assert not ended.interrupted.any()

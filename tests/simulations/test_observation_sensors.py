@@ -7,7 +7,8 @@ from gymnasium.vector.utils import concatenate, create_empty_array
 
 from corridor_server.protocol.agents import Sensor
 from corridor_server.simulations import observation_sensors
-from corridor_server.simulations.observation_sensors import ObservationSensors, check_finite
+from corridor_server.simulations.finite_numbers import check_finite
+from corridor_server.simulations.observation_sensors import ObservationSensors
 from corridor_server.simulations.simulation import SimulationError
 
 
