@@ -1,7 +1,6 @@
 """Any simulation as the player has it: what it raises is blamed on it, and what it gives is checked."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +51,9 @@ class CheckedSimulation(Simulation):
 
     def reset(self) -> Moment:
         """Begins an episode everywhere."""
-        with self._doing("failed in a reset"):
+        with blaming("The simulation failed in a reset"):
             moment = self._simulation.reset()
+        self._follow()
         if not self._checks:
             return moment
         with blaming("The simulation's reset gave what can't be used"):
@@ -61,8 +61,9 @@ class CheckedSimulation(Simulation):
 
     def step(self, actions: Mapping[str, ActionBatch]) -> tuple[Moment, Statistics]:
         """Goes on until the next moment."""
-        with self._doing("failed in a step"):
+        with blaming("The simulation failed in a step"):
             told = self._simulation.step(actions)
+        self._follow()
         if not self._checks:
             return told
         with blaming("The simulation's step gave what can't be used"):
@@ -70,12 +71,13 @@ class CheckedSimulation(Simulation):
 
     def set_parameter(self, name: str, value: Value) -> None:
         """Sets an environment parameter."""
-        with self._doing(f"failed when {name} was set", ValueError):
+        with blaming(f"The simulation failed when {name} was set", ValueError):
             self._simulation.set_parameter(name, value)
+        self._follow()
 
     def snapshot(self) -> NDArray[np.void] | None:
         """All that decides what happens from here on."""
-        with self._doing("failed when its state was saved"):
+        with blaming("The simulation failed when its state was saved"):
             rows = self._simulation.snapshot()
         if rows is not None and (not isinstance(rows, np.ndarray) or not rows.ndim or rows.dtype.hasobject):
             raise SimulationError(
@@ -85,23 +87,18 @@ class CheckedSimulation(Simulation):
 
     def forgo_snapshots(self) -> None:
         """Is told that nothing has to be kept."""
-        with self._doing("failed when it was told that no state will be saved"):
+        with blaming("The simulation failed when it was told that no state will be saved"):
             self._simulation.forgo_snapshots()
 
     def restore(self, rows: NDArray[np.void]) -> None:
         """Takes up a saved state."""
-        with self._doing("failed when its state was put back", NotRestored):
+        with blaming("The simulation failed when its state was put back", NotRestored):
             self._simulation.restore(rows)
+        self._follow()
 
     def close(self) -> None:
         """Ends it; that it can't be ended does no harm."""
         try_to_close("The simulation", self._simulation.close)
-
-    @contextmanager
-    def _doing(self, what: str, *but: type[Exception]) -> Iterator[None]:
-        with blaming(f"The simulation {what}", *but):
-            yield
-        self._follow()
 
     def _follow(self) -> None:
         """Takes over what it says of itself, which may have changed."""
