@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from asked import asked
+from conftest import corridor_here
 from recorded_run import GOLDEN, recorded_run, settings
 
 from corridor_server.corridor.corridor_config import CorridorConfig
@@ -16,8 +17,9 @@ from corridor_server.corridor.gym_env import CorridorEnv
 from trainer.corridor import corridor_of
 from trainer.errors import TrainerError
 from trainer.runs.evaluation import Episode
+from trainer.runs.folder import RunFolder
 from trainer.runs.trajectories import Trajectories, load_trajectories, save_trajectories
-from trainer.viewer.corridor_scene import FOREIGN, choose, episode_record, run_scene
+from trainer.viewer.corridor_scene import FOREIGN, begin_again, choose, episode_record, run_scene
 
 CONFIG = settings()
 
@@ -164,6 +166,17 @@ def test_the_page_has_the_recorded_numbers_and_what_is_hidden():
         assert target[0] == corridor_of(CONFIG.penalty, CONFIG.environment_parameters).opponent_target_x
         across = (target - start) / np.linalg.norm(target - start)
         assert np.allclose(across, heading / np.linalg.norm(heading), atol=1e-5)
+
+
+def test_a_run_through_the_gym_wrapper_is_shown_as_our_player_s(tmp_path, free_port):
+    options = ("--steps", 128, "--eval-episodes", 2, "--results-dir", tmp_path, "--base-port", free_port)
+    done = corridor_here("train", "--run-id", "gym", "--preset", "paper", *options)
+    assert done.returncode == 0, done.stderr
+    folder = RunFolder(tmp_path / "gym")
+    recorded = load_trajectories(folder.trajectories)
+    assert run_scene(folder.read_config(), recorded)["notes"] == []
+    for number, episode in enumerate(recorded.episodes):
+        assert np.array_equal(begin_again(folder.read_config(), recorded, number)[1], episode.observations[0])
 
 
 @pytest.mark.parametrize("what", ["observations", "rewards"])

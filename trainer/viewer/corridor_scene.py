@@ -260,6 +260,7 @@ def _begun(
     player, area = divmod(slot, config.num_areas)
     env = CorridorEnv(area=area, **asdict(corridor))
     observation, _ = env.reset(seed=player_seed(seed, player))
-    for _ in range(sum(other.slot == slot for other in trajectories.episodes[:number])):
+    before = sum(other.slot == slot for other in trajectories.episodes[:number])
+    for _ in range(before + config.through_gym):  # UnityToGymWrapper resets once more before the first
         observation, _ = env.reset()
     return env, observation
