@@ -68,9 +68,9 @@ def run_bench(
 
     def measured(name: str, value: Any, *lines: str) -> None:
         report[name] = value
+        _keep(report, json_file)  # before anybody can see the row, and stop
         for line in lines:
             console.print(line)
-        _keep(report, json_file)
 
     exchange: list[dict[str, Any]] = []
     for areas in workload.areas:
