@@ -75,7 +75,6 @@ def open_environment(
     """
     env = str(env)
     num_areas = int(_number("num_areas", num_areas, AREAS, whole=True))
-    port = int(_number("port", port, PORTS, whole=True))
     timeout_wait = _number("timeout_wait", timeout_wait, SECONDS)
     if isinstance(env_args, str) or not all(isinstance(each, str) for each in env_args):
         raise TrainerError(
@@ -84,7 +83,7 @@ def open_environment(
     if env == BUILTIN:
         check_areas(num_areas)
     file_name, host, port = place(env, port, listen)
-    port += number
+    port = int(_number("port", port, PORTS, whole=True)) + number
     if PORTS.read(port, whole=True) is None:
         raise TrainerError(f"Port {port} does not exist; ports go from 1 to 65535.")
     given = side_channels or []
