@@ -67,8 +67,13 @@ class EpisodeParameters:
             return False
         self._values[name] = value
         self._behind[:] = True
-        if not isinstance(value, float):
-            self.streams[name] = Streams(value.seed, self._areas)
+        streams = dict(self.streams)
+        if isinstance(value, float):
+            streams.pop(name, None)
+        else:
+            streams[name] = Streams(value.seed, self._areas)
+        # As if the values had been these from the beginning: what a saved state is taken up by.
+        self.streams = {each: streams[each] for each in self._values if each in streams}
         return True
 
     def draw(self, row: int) -> None:

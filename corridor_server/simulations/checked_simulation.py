@@ -35,7 +35,6 @@ class CheckedSimulation(Simulation):
             self._simulation = make()
             if not isinstance(self._simulation, Simulation):
                 raise SimulationError(f"make_simulation gave {shown(self._simulation)}, but a Simulation was expected.")
-        self.is_checked = True
         self._checks = not self._simulation.is_checked
         self._declared: dict[str, Behavior] = {}
         try:

@@ -50,3 +50,26 @@ def test_unitys_decision_timing(tmp_path, free_port):
     episodes = ("--env-param", "max_episode_steps=65", "failure_return=-1000")
     run = stopped_and_resumed(tmp_path, free_port, signal.SIGTERM, 256, "--env", player, *episodes, *PAPER)
     assert run.summary()["episodes"] == 10
+
+
+@pytest.mark.slow
+def test_trpo_whose_actor_has_no_optimiser(tmp_path, free_port):
+    learning = ("--algo", "trpo", "--num-areas", 4, "--steps", 2_048, "--eval-episodes", 1)
+    stopped_and_resumed(tmp_path, free_port, signal.SIGTERM, 1_024, *learning)
+
+
+@pytest.mark.slow
+def test_a_curriculum_from_a_sampler_to_a_number(tmp_path, free_port):
+    """The second lesson is there when the signal comes: a player that is new to the run never had the sampler."""
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(
+        "default_settings: {max_steps: 1536, hyperparameters: {buffer_size: 128, batch_size: 64}}\n"
+        "environment_parameters:\n"
+        "  goal_radius:\n"
+        "    curriculum:\n"
+        "      - {name: drawn, value: {sampler_type: uniform, sampler_parameters: {min_value: 2.0, max_value: 3.0}},\n"
+        "         completion_criteria: {behavior: Corridor, measure: progress, threshold: 0.2, min_lesson_length: 1}}\n"
+        "      - {name: said, value: 1.5}\n"
+    )
+    few = ("--num-areas", 4, "--eval-episodes", 1, "--env-param", "max_episode_steps=50")
+    stopped_and_resumed(tmp_path, free_port, signal.SIGTERM, 768, settings, *few)

@@ -60,11 +60,18 @@ class Optimizer:
         """Each kind of moment, and the step counts."""
         if self._optimizer is None:
             return {}
-        states = [self._optimizer.state[parameter] for parameter in self._parameters(self._optimizer)]
-        kinds = states[0] if states else {}
-        return {
-            kind: np.concatenate([torch.as_tensor(state[kind]).numpy().ravel() for state in states]) for kind in kinds
-        }
+        parameters = self._parameters(self._optimizer)
+        states: list[dict[str, Any]] = [self._optimizer.state[parameter] for parameter in parameters]
+        stepped = next(filter(None, states), {})
+
+        def numbers(kind: str, state: dict[str, Any], parameter: torch.Tensor) -> Array:
+            if kind not in state:  # never stepped, as TRPO's actor, which would begin with zeros
+                counts = torch.as_tensor(stepped[kind]).ndim == 0
+                return np.zeros(1 if counts else parameter.numel(), np.float32)
+            return torch.as_tensor(state[kind]).numpy().ravel()
+
+        pairs = list(zip(states, parameters, strict=True))
+        return {kind: np.concatenate([numbers(kind, *pair) for pair in pairs]) for kind in stepped}
 
     def load_state_dict(self, state: Mapping[str, Array]) -> None:
         """Takes over what ``state_dict`` gave.
