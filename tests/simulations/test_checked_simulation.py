@@ -1,11 +1,13 @@
 """A simulation of somebody's own (the hallway of docs/player.md) that raises, or gives what can't be used."""
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import BIN
 from mlagents_envs.exception import UnityCommunicatorStoppedException, UnityEnvironmentException
 
 from corridor_server.protocol.agents import ActionBatch, Agents, Behavior, Sensor
@@ -240,7 +242,8 @@ def test_one_that_cant_be_closed_or_saved_is_named(caplog):
         simulation.snapshot()
 
 
-def test_the_trainer_is_told_and_the_log_ends_with_the_traceback_and_the_sentence(tmp_path, free_port):
+def test_the_trainer_is_told_and_the_log_ends_with_the_traceback_and_the_sentence(tmp_path, free_port, monkeypatch):
+    monkeypatch.setenv("PATH", f"{BIN}{os.pathsep}{os.environ['PATH']}")  # whose Python the file asks for
     file = tmp_path / "hallway.py"
     file.write_text(PROGRAM.replace("self.steps += 1", "raise ValueError('no fuel')"))
     file.chmod(0o755)
